@@ -4,18 +4,22 @@ Every shift gives the information and the score of the tracked sizes. They are s
 shifts, and blocks over ever longer cells as they get older, so that the memory of a truck is
 bounded. After every block the cells since the last change are split at every border, and the mean
 after it is compared with the mean before it, one parameter at a time (a generalised likelihood
-ratio). The scatter of the shifts is estimated from the blocks themselves.
+ratio). The scatter of the shifts, and of the trips, is estimated from the truck's own (`scatter.py`).
 Checked by: tests/unit/sil/shift_diagnosis/test_track.py
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+from sil.shift_diagnosis.scatter import PAUSE_S, Scatter
+from sil.shift_diagnosis.steps import line_of, of_difference, ramp_costs, step_gains
 
 Floats = NDArray[np.float64]
 
@@ -32,11 +36,16 @@ CHANGED: Final = "changed", "drifting"
 THRESHOLD: Final = 5.5
 """Standard deviations by which means must differ: at most one false alarm in 1e5 shifts, by
 simulation (`python -m tests.bench watch_rates`)."""
-PSEUDO_BLOCKS: Final = 5.0
-"""Blocks that the stated scatter of a shift counts as, when the scatter is estimated."""
 RAMP_GAIN: Final = 4.0
 """Half chi squared by which a drift must be better than a step."""
 SEPARABLE: Final = 9.0
+"""Chi squared by which the changes of two parameters must differ to be told apart."""
+FEWEST_TRIPS: Final = 10
+"""Trips from which a change can be found where there are several: how they differ is then known."""
+TRIPS: Final = 1.5
+"""Trips, whole and begun, that a change must last where there are several."""
+LINEAR: Final = 0.05
+"""Share of a change's chi squared that the linear model may be wrong by."""
 
 
 class Change(msgspec.Struct, kw_only=True):
@@ -59,13 +68,29 @@ class Change(msgspec.Struct, kw_only=True):
     since: int = 0
 
 
+Confirm = Callable[[Change], Change | None]
+
+
+def renamed(change: Change, costs: Mapping[str, float]) -> Change:
+    """Return a change named by the parameter that explains it best.
+
+    costs: chi squared of the shifts after it, by name, each parameter moved as far as is best.
+    """
+    name = min(costs, key=costs.__getitem__)
+    near = costs[name] + max(SEPARABLE, LINEAR * (max(costs.values()) - costs[name]))
+    alike = [other for other, cost in costs.items() if other != name and cost < near]
+    return msgspec.structs.replace(change, name=name, alike=alike)
+
+
 @dataclass
 class Track:
     """The state of one truck.
 
     names: of the parameters [p]. count, first, time_s [cells]; information [cells, p, p] and
-    score [cells, p] of the sizes; since: shift from which the present state counts; drifting:
-    parameters that have drifted since then.
+    score [cells, p] of the sizes; trips [cells]: how many trips a cell is, in all 1 for each trip;
+    since: shift from which the present state counts; drifting: parameters that have drifted since
+    then; trip_first, trip_cells, last_s: of the present trip, its first shift, the number of its
+    cells before any were merged, and the time of its latest shift; is_open: the last cell takes more.
     """
 
     names: tuple[str, ...]
@@ -74,12 +99,16 @@ class Track:
     time_s: Floats
     information: Floats
     score: Floats
+    trips: Floats
+    scatter: Scatter
     shifts: int = 0
     since: int = 0
     drifting: set[str] = field(default_factory=set)
     changes: list[Change] = field(default_factory=list)
-    squares: Floats = field(default_factory=lambda: np.zeros(0))
-    pairs: float = 0.0
+    trip_first: int = 0
+    trip_cells: int = 0
+    last_s: float = float("inf")
+    is_open: bool = False
 
     @classmethod
     def of(cls, names: tuple[str, ...]) -> Track:
@@ -87,7 +116,7 @@ class Track:
         p = len(names)
         return cls(
             names, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0),
-            np.zeros((0, p, p)), np.zeros((0, p)), squares=np.zeros(p),
+            np.zeros((0, p, p)), np.zeros((0, p)), np.zeros(0), Scatter.of(p),
         )  # fmt: skip
 
     @property
@@ -97,65 +126,73 @@ class Track:
             return "drifting"
         if self.changes:
             return "changed"
-        return "steady" if self.shifts >= FEWEST_SHIFTS else "cannot_tell"
+        known = self.shifts >= FEWEST_SHIFTS and not 1 < self.scatter.trips < FEWEST_TRIPS
+        return "steady" if known else "cannot_tell"
 
     # --- taking shifts ------------------------------------------------------------------------
-    def take(self, information: Floats, score: Floats, time_s: Floats) -> list[Change]:
+    def take(
+        self, information: Floats, score: Floats, time_s: Floats, confirm: Confirm | None = None
+    ) -> list[Change]:
         """Take shifts: information [n, p, p] and score [n, p] of the sizes, times [n] in s.
 
-        Returns the changes that were found.
+        confirm: returns a change found by the linear model, perhaps with another name, or None if
+        the shifts after it do not show it. Returns the changes that were found.
         """
         found: list[Change] = []
+        gaps = np.diff(time_s, prepend=self.last_s)
+        begins = np.append(np.flatnonzero((gaps > PAUSE_S) | (gaps < 0.0)), len(score))
         at = 0
-        while at < len(score):
-            room = BLOCK - int(self.count[-1]) if len(self.count) else 0
-            begins = room <= 0
-            take = min(BLOCK if begins else room, len(score) - at)
-            part = slice(at, at + take)
-            if begins:
-                self._append(float(time_s[at]))
-            self.count[-1] += take
-            self.information[-1] += information[part].sum(axis=0)
-            self.score[-1] += score[part].sum(axis=0)
-            self.shifts += take
-            at += take
-            if self.count[-1] == BLOCK:
-                self._note_scatter()
-                change = self._tested()
-                if change is not None:
-                    found.append(change)
-                self._merge()
+        for end in begins.tolist():
+            while at < end:
+                room = BLOCK - int(self.count[-1]) if self.is_open else 0
+                take = min(room or BLOCK, end - at)
+                part = slice(at, at + take)
+                if not room:
+                    self._append(float(time_s[at]))
+                self.count[-1] += take
+                self.information[-1] += information[part].sum(axis=0)
+                self.score[-1] += score[part].sum(axis=0)
+                self.shifts += take
+                at += take
+                if self.count[-1] == BLOCK:
+                    found += self._completed(confirm)
+            if end < len(score):
+                found += self.end_cell(confirm)
+                self.scatter.begin_trip()
+                self.trip_first, self.trip_cells = self.shifts, 0
+        if len(score):
+            self.last_s = float(time_s[-1])
         return found
 
+    def end_cell(self, confirm: Confirm | None = None) -> list[Change]:
+        """Test what there is of a cell, as at the end of a log; return the change found, if any."""
+        return self._completed(confirm) if self.is_open else []
+
     def _append(self, time_s: float) -> None:
-        p = len(self.names)
+        p, k = len(self.names), self.trip_cells
         self.count = np.append(self.count, 0)
         self.first = np.append(self.first, self.shifts)
         self.time_s = np.append(self.time_s, time_s)
         self.information = np.concatenate([self.information, np.zeros((1, p, p))])
         self.score = np.concatenate([self.score, np.zeros((1, p))])
+        self.trips[self.first[:-1] >= self.trip_first] *= k / (k + 1)
+        self.trips = np.append(self.trips, 1.0 / (k + 1))
+        self.trip_cells += 1
+        self.is_open = True
 
-    def _note_scatter(self) -> None:
-        """Compare the latest block with the one before it."""
-        if len(self.count) < 2 or self.count[-2] != BLOCK:
-            return
+    def _completed(self, confirm: Confirm | None) -> list[Change]:
+        """Return the change that a completed cell shows, if any."""
+        self.is_open = False
         h = np.diagonal(self.information[-2:], axis1=1, axis2=2)
-        h = np.maximum(h, 1e-12)
-        a = self.score[-2:] / h
-        square = (a[1] - a[0]) ** 2 / (1.0 / h).sum(axis=0)
-        self.squares += np.minimum(square, 12.0 * self.scatter2)
-        self.pairs += 1.0
-
-    @property
-    def scatter2(self) -> Floats:
-        """Variance of the shifts [p] relative to the stated one."""
-        return np.asarray((PSEUDO_BLOCKS + self.squares) / (PSEUDO_BLOCKS + self.pairs))
-
-    @property
-    def _limit2(self) -> float:
-        """Square of the threshold, wider while the scatter is known from few blocks (Wallace 1959)."""
-        freedom = PSEUDO_BLOCKS + self.pairs
-        return freedom * float(np.expm1(THRESHOLD**2 / freedom))
+        change = self._tested(confirm)
+        if change is not None:
+            self.scatter.restart()
+        else:
+            self.scatter.add(h[-1], self.score[-1], int(self.count[-1]))
+            if self.trip_cells > 1 and (self.count[-2:] == BLOCK).all():
+                self.scatter.compare(h, self.score[-2:])
+        self._merge()
+        return [] if change is None else [change]
 
     def _merge(self) -> None:
         """Merge two neighbours, the finest for their distance from now and from the last change."""
@@ -164,43 +201,72 @@ class Track:
         second = self.first[1:]
         reach = np.minimum(self.shifts - second, np.abs(second - self.since)) + BLOCK
         width = (self.count[:-1] + self.count[1:]) / reach
-        width[np.isin(second, [self.since, *(change.shift for change in self.changes)])] = np.inf
+        borders = self.since, self.trip_first, *(change.shift for change in self.changes)
+        width[np.isin(second, borders)] = np.inf
         groups = np.delete(np.arange(len(self.count)), int(np.argmin(width)) + 1)
-        for name in ("count", "information", "score"):
+        for name in ("count", "information", "score", "trips"):
             setattr(self, name, np.add.reduceat(getattr(self, name), groups, axis=0))
         self.first, self.time_s = self.first[groups], self.time_s[groups]
 
     # --- testing ------------------------------------------------------------------------------
-    def _segment(self, since: int) -> tuple[slice, Floats, Floats, Floats]:
-        """Return the whole cells since a shift, their information and estimates [m, p], mid shifts [m]."""
-        whole = slice(int(np.searchsorted(self.first, since)), len(self.count))
-        h = np.diagonal(self.information[whole], axis1=1, axis2=2) / self.scatter2
-        h = np.maximum(h, 1e-12)
-        a = self.score[whole] / self.scatter2 / h
-        return whole, h, a, self.first[whole] + 0.5 * self.count[whole]
+    def _variances(self, cells: slice | NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Return the variances [m, p] of cells' estimates, by their shifts and by their trips."""
+        h = np.diagonal(self.information[cells], axis1=1, axis2=2)
+        within = self.scatter.within2 / np.maximum(h, 1e-12)
+        return within, self.scatter.between2 / self.trips[cells, None]
 
-    def _tested(self) -> Change | None:
+    def _segment(self, since: int) -> tuple[slice, Floats, Floats, Floats]:
+        """Return the cells since a shift, their precision and estimates [m, p], mid shifts [m]."""
+        cells = slice(int(np.searchsorted(self.first, since)), len(self.count))
+        h = np.diagonal(self.information[cells], axis1=1, axis2=2)
+        estimates = self.score[cells] / np.maximum(h, 1e-12)
+        precision = 1.0 / np.sum(self._variances(cells), axis=0)
+        return cells, precision, estimates, self.first[cells] + 0.5 * self.count[cells]
+
+    def _limits2(self, cells: slice) -> Floats:
+        """Return the square of the threshold [m, p] of a step before each cell.
+
+        It is wider the less is known of the variances (Satterthwaite 1946, Wallace 1959).
+        """
+        within, between = self._variances(cells)
+        h = 1.0 / (within + between)
+        parts = [of_difference(h, h**2 * part) for part in (within, between)]
+        of_shifts, of_trips = self.scatter.freedom
+        freedom = sum(parts) ** 2 / (parts[0] ** 2 / of_shifts + parts[1] ** 2 / of_trips)
+        return np.asarray(freedom * np.expm1(THRESHOLD**2 / freedom))
+
+    def _tested(self, confirm: Confirm | None) -> Change | None:
         whole, h, a, t = self._segment(self.since)
-        if len(t) < FEWEST_CELLS + 1:
+        if len(t) < FEWEST_CELLS + 1 or 1 < self.scatter.trips < FEWEST_TRIPS:
             return None
         for name in self.drifting:  # the others see it, too
             k = self.names.index(name)
-            line = _line(t, a[:, k], h[:, k])[0]
-            a -= self.information[whole, :, k] / self.scatter2 / h * line[:, None]
-        gain = _step_gains(h, a)
-        j, k = divmod(int(np.argmax(gain[FEWEST_CELLS:])), len(self.names))
+            line = line_of(t, a[:, k], h[:, k])[0]
+            own = np.diagonal(self.information[whole], axis1=1, axis2=2)
+            a -= self.information[whole, :, k] / np.maximum(own, 1e-12) * line[:, None]
+        gain = step_gains(h, a)
+        if self.scatter.trips > 1:  # one trip alone can differ by its load, weather or clocks
+            later = np.cumsum(self.trips[whole][::-1])[::-1]
+            gain = np.where(later[:, None] < TRIPS, 0.0, gain)
+        share = gain[FEWEST_CELLS:] / self._limits2(whole)[FEWEST_CELLS:]
+        j, k = divmod(int(np.argmax(share)), len(self.names))
         j += FEWEST_CELLS
-        if gain[j, k] < self._limit2:
+        if share.max() < 1.0:
             self._date(self.shifts)
             return None
         shift = int(self.first[whole.start + j])
-        self._date(shift)
-        change = Change(
+        change: Change | None = Change(
             name=self.names[k], kind="step", shift=shift, low=shift, high=shift,
             time_s=float(self.time_s[whole.start + j]), found=self.shifts,
             sigma=float(np.sqrt(gain[j, k])), alike=self._alike(whole.start, whole.start + j, k),
             since=-1 if self.drifting else self.since,
         )  # fmt: skip
+        if confirm is not None and change is not None:
+            change = confirm(change)
+        if change is None:
+            self._date(self.shifts)
+            return None
+        self._date(shift)
         self.changes.append(change)
         self.since, self.drifting = shift, set()
         self._date(self.shifts)
@@ -220,8 +286,8 @@ class Track:
         h, a, t = h[own, k], a[own, k], t[own]
         if len(t) < FEWEST_CELLS + 1:
             return
-        steps = float(np.sum(h * (a - np.average(a, weights=h)) ** 2)) - _step_gains(h, a)
-        ramps = _ramp_costs(t, a, h)
+        steps = float(np.sum(h * (a - np.average(a, weights=h)) ** 2)) - step_gains(h, a)
+        ramps = ramp_costs(t, a, h)
         steps[:FEWEST_CELLS], ramps[:FEWEST_CELLS] = np.inf, np.inf
         is_drift = bool(np.min(ramps) < np.min(steps) - 2.0 * RAMP_GAIN)
         chance = np.exp(0.5 * (min(steps.min(), ramps.min()) - steps))
@@ -247,32 +313,66 @@ class Track:
             pieces.append((np.linalg.inv(h), np.linalg.solve(h, self.score[part].sum(axis=0))))
         information = np.linalg.inv(pieces[0][0] + pieces[1][0])
         score = information @ (pieces[1][1] - pieces[0][1])
-        gains = score**2 / np.maximum(np.diag(information), 1e-12) / self.scatter2
-        return [
-            name
-            for j, name in enumerate(self.names)
-            if j != k and gains[j] > gains[k] - SEPARABLE and gains[j] > 0.5 * gains[k]
-        ]
+        gains = score**2 / np.maximum(np.diag(information), 1e-12)
+        gains *= self._certainty(begin)
+        least = gains[k] - max(min(SEPARABLE, 0.5 * gains[k]), LINEAR * gains[k])
+        return [name for j, name in enumerate(self.names) if j != k and gains[j] > least]
+
+    def _certainty(self, begin: int) -> Floats:
+        """Return the precision [p] of the estimates since a cell, by that stated of their shifts."""
+        h = np.diagonal(self.information[begin:], axis1=1, axis2=2).sum(axis=0)
+        precision = 1.0 / np.sum(self._variances(slice(begin, None)), axis=0)
+        return np.asarray(precision.sum(axis=0) / np.maximum(h, 1e-12))
 
     # --- what is known now ----------------------------------------------------------------------
+    def estimates(self, k: int) -> tuple[Floats, Floats]:
+        """Return the estimate [cells] of parameter k in each cell, and its standard deviation."""
+        h = np.maximum(self.information[:, k, k], 1e-12)
+        variance = np.sum(self._variances(slice(None)), axis=0)[:, k]
+        return self.score[:, k] / h, np.sqrt(variance)
+
     def level(self, k: int, begin: int, end: int | None = None) -> tuple[float, float]:
         """Return the mean size of parameter k over shifts from begin to end, and its deviation."""
         first = self.first
         own = (first >= begin) & (first < (end if end is not None else self.shifts))
-        h = float(self.information[own, k, k].sum()) / self.scatter2[k]
-        score = float(self.score[own, k].sum()) / self.scatter2[k]
-        return (score / h, h**-0.5) if h > 0.0 else (float("nan"), float("inf"))
+        if not own.any():
+            return float("nan"), float("inf")
+        estimates, deviations = (each[own] for each in self.estimates(k))
+        weights = deviations**-2.0
+        return float(np.average(estimates, weights=weights)), float(weights.sum() ** -0.5)
+
+    def moved(self) -> list[Floats]:
+        """Return how far the parameters [p] have moved since the first shifts, by the changes found.
+
+        Once for each parameter by which the last change can be explained.
+        """
+        found = [np.zeros(len(self.names))]
+        borders = [0, *(change.shift for change in self.changes), self.shifts]
+        for change, begin, at, end in zip(
+            self.changes, borders, borders[1:], borders[2:], strict=False
+        ):
+            is_last = change is self.changes[-1]
+            ways = []
+            for name in (change.name, *change.alike) if is_last else (change.name,):
+                k, way = self.names.index(name), found[0].copy()
+                after = self.drift(k)[0] if is_last and self.drifting else self.level(k, at, end)[0]
+                way[k] += np.nan_to_num(after - self.level(k, begin, at)[0])
+                ways.append(way)
+            found = ways
+        return found
 
     def drift(self, k: int) -> tuple[float, float, Floats]:
         """Return size now, slope per shift, and their covariance [2, 2], of a drifting parameter."""
         _whole, h, a, t = self._segment(self.since)
-        _fit, estimate, covariance = _line(t - self.shifts, a[:, k], h[:, k])
+        _fit, estimate, covariance = line_of(t - self.shifts, a[:, k], h[:, k])
         return float(estimate[0]), float(estimate[1]), covariance
 
     # --- storing --------------------------------------------------------------------------------
     def to_bytes(self) -> bytes:
         """Return the state as it is stored."""
-        return msgspec.msgpack.encode(vars(self), enc_hook=np.ndarray.tolist)
+        return msgspec.msgpack.encode(
+            vars(self) | {"scatter": vars(self.scatter)}, enc_hook=np.ndarray.tolist
+        )
 
     @classmethod
     def from_bytes(cls, stored: bytes) -> Track:
@@ -285,36 +385,7 @@ class Track:
                 value = np.array(value, empty.dtype).reshape(-1, *empty.shape[1:])
             elif name == "changes":
                 value = msgspec.convert(value, list[Change])
+            elif name == "scatter":
+                value = Scatter.from_stored(value)
             setattr(track, name, type(empty)(value) if isinstance(empty, set | tuple) else value)
         return track
-
-
-def _step_gains(h: Floats, a: Floats) -> Floats:
-    """Return chi squared gained by a step before each cell [m] or [m, p]; 0 before the first."""
-    score = h * a
-    before_h = np.cumsum(h, axis=0) - h
-    before = np.cumsum(score, axis=0) - score
-    after_h, after = h.sum(axis=0) - before_h, score.sum(axis=0) - before
-    gains = np.zeros_like(h)
-    mean = after[1:] / after_h[1:] - before[1:] / before_h[1:]
-    gains[1:] = mean**2 / (1.0 / after_h[1:] + 1.0 / before_h[1:])
-    return gains
-
-
-def _line(t: Floats, a: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the weighted straight line at t [m], its value at 0 and slope [2], covariance [2, 2]."""
-    design = np.stack([np.ones_like(t), t], axis=1)
-    scale = np.array([1.0, 1.0 / max(1.0, float(np.abs(t).max()))])
-    design = design * scale
-    covariance = np.linalg.inv(design.T @ (design * h[:, None]) + 1e-12 * np.eye(2))
-    estimate = covariance @ (design.T @ (h * a))
-    return design @ estimate, estimate * scale, covariance * np.outer(scale, scale)
-
-
-def _ramp_costs(t: Floats, a: Floats, h: Floats) -> Floats:
-    """Return chi squared [m] of a level that becomes a line at each cell."""
-    rest = a - np.average(a, weights=h)
-    ramps = np.maximum(0.0, t - t[:, None])
-    ramps -= (ramps @ h / h.sum())[:, None]
-    gains = (ramps @ (h * rest)) ** 2 / np.maximum(ramps**2 @ h, 1e-12)
-    return np.asarray(np.sum(h * rest**2) - gains)

@@ -10,9 +10,10 @@ import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -20,18 +21,19 @@ import numpy as np
 from can_dbc.errors import InputError
 from plant.parameters import ParameterSet
 from sil.files.progress import Progress
-from sil.fitting.hypotheses import scaled_of
 from sil.j1939.mapping import SignalMapping
 from sil.logs import FORMATS
+from sil.shift_diagnosis.confirm import Confirming
 from sil.shift_diagnosis.healthy import FIT_SHIFTS, loaded_fit, rest_noise_m
 from sil.shift_diagnosis.linear import Floats, Noise, linearise
 from sil.shift_diagnosis.loads import CONE, own_loads, with_speeds, without_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.track import Change, Track
+from sil.shift_diagnosis.verdict import LARGEST
 
 STORE: Final = "watch.sqlite"
-STORE_VERSION: Final = 3
+STORE_VERSION: Final = 4
 AT_ONCE: Final = 200
 """Shifts that are simulated in one call."""
 ODD: Final = 8.0
@@ -203,7 +205,7 @@ class Watch:
         skipped = Counter[str]()
         shifts = shifts_of(path, self._parameters, self._mapping, skipped)
         changes: list[Change] = []
-        count = 0
+        count, confirm = 0, None
         while some := list(islice(shifts, AT_ONCE)):
             some = with_speeds(some, skipped)
             reference = reference or self._reference(some)
@@ -214,7 +216,8 @@ class Watch:
             free = tuple(dict.fromkeys((*reference.loads, *cone)))
             some = own_loads(model, some, at, free)
             noise = Noise(reference.noise_m, reference.scatter, loads=free)
-            linear = linearise(model, some, at, self._causes, noise=noise)
+            sizes = self._present(model, some, reference, track, noise)
+            linear = linearise(model, some, at, self._causes, sizes, noise=noise)
             chi2 = linear.misfit / np.maximum(linear.count, 1)
             odd = (chi2 > ODD * reference.chi2) & (chi2 > ODD) | (linear.count == 0)
             # after a lasting change every shift is far from the first ones: then none is odd
@@ -223,10 +226,42 @@ class Watch:
                 values = truck, track.shifts, some[k].begin_s, path, float(chi2[k])
                 self._connection.execute("insert into odd values (?, ?, ?, ?, ?)", values)
             n, usual = linear.units, ~odd
+            linear = linear.without_cliffs()  # what is about to stick would count by far too much
             times = np.array([shift.begin_s for shift in some])
             information = linear.information[usual][:, n:, n:]
-            changes += track.take(information, linear.score[usual][:, n:], times[usual])
+            score = linear.score[usual][:, n:] + information @ linear.values[n:]
+            confirm = Confirming(
+                track, track.shifts, [some[k] for k in np.flatnonzero(usual)],
+                partial(linearise, model, values=at, noise=noise), self._causes, sizes,
+            )  # fmt: skip
+            changes += track.take(information, score, times[usual], confirm)
+        changes += track.end_cell(confirm)
         return track, reference, changes, count, sum(skipped.values())
+
+    def _present(
+        self,
+        model: PlantModel,
+        shifts: Sequence[Shift],
+        reference: Reference,
+        track: Track,
+        noise: Noise,
+    ) -> dict[Cause, float]:
+        """Return the sizes of causes to linearise shifts around: none, or what changed so far.
+
+        That is the point which explains the first of them best. Far from their point shifts are
+        not linear, and a cause would look like others.
+        """
+        few, at = shifts[: 2 * FIT_SHIFTS], np.array(reference.values)
+        points: list[dict[Cause, float]] = [{}]
+        for moved in track.moved() if track.changes else ():
+            pairs = zip(self._causes, moved.tolist(), strict=True)
+            points.append({c: float(np.clip(size, *c.sizes(LARGEST))) for c, size in pairs if size})
+        costs = []
+        for sizes in points if track.changes else ():
+            linear = linearise(model, few, at, tuple(sizes), sizes, noise=noise)
+            chi2 = linear.misfit / np.maximum(linear.count, 1)
+            costs.append(float(np.median(np.where(linear.count, chi2, np.inf))))
+        return points[int(np.argmin(costs))] if costs else {}
 
     def _model(self, mounted: bool) -> PlantModel:
         if mounted not in self._models:
@@ -311,90 +346,3 @@ def _rows(path: Path, lines: Sequence[str], columns: int, first: int) -> Floats:
             f"{path}: from line {first}: expected finite numbers and standard deviations above 0"
         )
     return rows
-
-
-def as_json(watched: Watched, limits: dict[str, float]) -> dict[str, Any]:
-    """Return one truck's object in watch.json; limits: by parameter, in its unit."""
-    track, causes = watched.track, {c.effect.id: c for c in tracked_causes()}
-    changes = [_change_json(track, number, causes) for number in range(len(track.changes))]
-    parameters = []
-    for k, name in enumerate(track.names):
-        size, deviation = track.level(k, track.since)
-        parameters.append(
-            {"name": name, **_valued(causes.get(name), size, deviation), "since_shift": track.since}
-        )
-    return {
-        "truck": watched.name,
-        "verdict": track.verdict,
-        "logs": watched.logs,
-        "shifts": track.shifts,
-        "left_out": watched.skipped,
-        "odd_shifts": [
-            dict(zip(("shift", "time_s", "log", "chi2"), row, strict=True)) for row in watched.odd
-        ],
-        "parameters": parameters,
-        "changes": changes,
-        "forecast": [
-            forecast(track, name, causes.get(name), limits.get(name))
-            for name in sorted(track.drifting)
-        ],
-    }
-
-
-def _change_json(track: Track, number: int, causes: dict[str, Cause]) -> dict[str, Any]:
-    change = track.changes[number]
-    k = track.names.index(change.name)
-    before = max([0, *(c.shift for c in track.changes[:number])])
-    after = next((c.shift for c in track.changes[number + 1 :]), None)
-    cause = causes.get(change.name)
-    found = msgspec.to_builtins(change)
-    del found["since"]
-    found["before"] = _valued(cause, *track.level(k, before, change.shift))
-    found["after"] = _valued(cause, *track.level(k, change.shift, after))
-    return dict(found)
-
-
-def _valued(cause: Cause | None, size: float, deviation: float) -> dict[str, Any]:
-    """Return a size with its 95 % interval, in the parameter's unit."""
-    if not np.isfinite(size):
-        return {"value": None, "low": None, "high": None, "unit": "-"}
-    ends = [size + k * deviation for k in (0.0, -1.96, 1.96)]
-    if cause is not None and np.isfinite(deviation):
-        ends = [_unbounded(cause, end) for end in ends]
-    unit = "-" if cause is None else cause.parameter.unit
-    return {"value": ends[0], "low": min(ends[1:]), "high": max(ends[1:]), "unit": unit}
-
-
-def _unbounded(cause: Cause, size: float) -> float:
-    """Return a parameter's value at a size, relative to the first shifts: of either sign."""
-    own = cause.parameter
-    if own.neutral > 0.0:
-        return cause.value(size)
-    return own.neutral + size * own.typical
-
-
-def forecast(track: Track, name: str, cause: Cause | None, limit: float | None) -> dict[str, Any]:
-    """Return when a drifting parameter reaches its limit, with a 95 % interval, or why that is open.
-
-    limit: in the parameter's unit; None: two typical sizes in the drift's direction.
-    """
-    now, slope, covariance = track.drift(track.names.index(name))
-    goal = 2.0 * float(np.sign(slope))
-    stated = _unbounded(cause, goal) if cause is not None else goal
-    if limit is not None:
-        stated, goal = limit, limit
-        if cause is not None:
-            own = cause.parameter
-            goal = scaled_of(own, min(max(limit, own.low), own.high))
-    found: dict[str, Any] = {"name": name, "limit": stated, "per_1000_shifts": 1000.0 * slope}
-    draws = np.random.default_rng(1).multivariate_normal([now, slope], covariance, 4000)
-    left = (goal - draws[:, 0]) / draws[:, 1]
-    low, middle, high = np.quantile(np.where(left < 0.0, np.inf, left), [0.025, 0.5, 0.975])
-    seen = track.shifts - track.since
-    if (goal - now) * np.sign(slope) <= 0.0:
-        return found | {"shifts_left": 0, "low": 0, "high": 0, "why": "the limit is passed"}
-    if not np.isfinite(high) or high > 10.0 * seen:
-        why = f"not extrapolated: {seen} shifts of drift do not bound it"
-        return found | {"shifts_left": None, "low": None, "high": None, "why": why}
-    ends = (int(middle), int(low), int(high))
-    return found | dict(zip(("shifts_left", "low", "high"), ends, strict=True)) | {"why": ""}

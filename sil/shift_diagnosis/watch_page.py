@@ -11,8 +11,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from plant.effects import CATALOGUE
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
@@ -20,15 +18,16 @@ from sil.report.figure import Band, Figure, Panel, Rule, Series, Stack
 from sil.report.plots import plots
 from sil.report.shell import Head, render
 from sil.shift_diagnosis.page import MEASURE
-from sil.shift_diagnosis.track import BLOCK, CHANGED, FEWEST_SHIFTS, THRESHOLD
-from sil.shift_diagnosis.watch import Watched, as_json
+from sil.shift_diagnosis.track import BLOCK, CHANGED, FEWEST_SHIFTS, FEWEST_TRIPS, THRESHOLD
+from sil.shift_diagnosis.watch import Watched
+from sil.shift_diagnosis.watch_json import as_json
 
 MOST_DRAWN: Final = 12
 """Trucks with changes whose parameters are drawn."""
 ABSOLUTE_S: Final = 315_532_800.0
 """Times after this, 1980, count from 1970."""
 BASIS: Final = (
-    f"a change is reported from {THRESHOLD:g} standard deviations on; simulated with independent shifts "
+    f"a change is reported from {THRESHOLD:g} standard deviations on; simulated with shifts, and trips, "
     "of normal scatter (docs, truck-diagnosis)"
 )
 
@@ -78,7 +77,11 @@ def _lines(truck: dict[str, Any]) -> list[str]:
     """Return what happened to a truck, and what to do next."""
     lines = []
     if truck["verdict"] == "cannot_tell":
-        lines.append(f"a change can be found from {FEWEST_SHIFTS} shifts on")
+        lines.append(
+            f"a change can be found from {FEWEST_SHIFTS} shifts on"
+            if truck["shifts"] < FEWEST_SHIFTS
+            else f"a change can be found from {FEWEST_TRIPS} trips on: how trips differ must be known"
+        )
     for change in truck["changes"]:
         before, after = change["before"], change["after"]
         when = f"shift {change['shift']} [{change['low']}, {change['high']}], {_when(change['time_s'])}"
@@ -125,8 +128,7 @@ def _figure(watched: Watched) -> Stack:
     at = track.first + 0.5 * track.count
     for name in dict.fromkeys(change.name for change in track.changes):
         k = track.names.index(name)
-        h = np.maximum(track.information[:, k, k] / track.scatter2[k], 1e-12)
-        size, deviation = track.score[:, k] / track.scatter2[k] / h, h**-0.5
+        size, deviation = track.estimates(k)
         rules = [
             Rule(float(c.shift), c.kind, style="dashed") for c in track.changes if c.name == name
         ]

@@ -87,12 +87,41 @@ def truck_log(
         raw["driveline"] = {"residual_rad_s": 8.0}
         raw["sensor"] |= {"noise_sd_s": 0.0}
     settings += [f"{name}={value!r}" for name, value in (cause or {}).items()]
-    loaded = load_scenario.from_table(raw, "drawn", settings=settings, seed=seed)
-    run = run_in_memory(loaded)
-    with open_writer(str(path)) as writer:
-        for entry in run.record.frames:
-            writer.write(LogFrame(entry.arrival_ns, entry.frame.can_id, entry.frame.data))
+    _write(path, load_scenario.from_table(raw, "drawn", settings=settings, seed=seed))
     return raw
+
+
+DAY_S = 86_400
+LATE_S = 1_700_000_000
+
+
+def trips(
+    folder: Path, seed: int, count: int, shifts: int, at: int, cause: dict[str, float]
+) -> None:
+    """Write one log a day of the same truck, with further settings (`cause`) from log `at` on.
+
+    Sampling phase, speed difference and requests differ from day to day.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    same, settings = drawn_truck(np.random.default_rng(seed), shifts)
+    for trip in range(count):
+        raw, _others = drawn_truck(np.random.default_rng([seed, trip]), shifts)
+        driveline = same["driveline"] | {"residual_rad_s": raw["driveline"]["residual_rad_s"]}
+        raw |= {"plant": same["plant"], "clock": same["clock"], "driveline": driveline}
+        own = [f"{name}={value!r}" for name, value in cause.items()] if trip >= at else []
+        loaded = load_scenario.from_table(
+            raw, "drawn", settings=[*settings, *own], seed=1000 * seed + trip
+        )
+        begin_ns = (LATE_S + trip * DAY_S) * 1_000_000_000
+        _write(folder / f"{trip:03d}.log", loaded, begin_ns)
+
+
+def _write(path: Path, loaded: load_scenario.Loaded, begin_ns: int = 0) -> None:
+    with open_writer(str(path)) as writer:
+        for entry in run_in_memory(loaded).record.frames:
+            writer.write(
+                LogFrame(begin_ns + entry.arrival_ns, entry.frame.can_id, entry.frame.data)
+            )
 
 
 CAUSES: dict[str, tuple[str, float, float]] = {

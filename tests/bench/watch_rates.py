@@ -30,14 +30,25 @@ def information_of(generator: np.random.Generator, p: int = PARAMETERS) -> np.nd
     return np.asarray(mixed @ mixed.T / p + 0.05 * np.eye(p))
 
 
-def watched(sizes: np.ndarray, seed: int, at_once: int = 500) -> Track:
-    """Return the track of a truck whose sizes [n, p] are these."""
+def watched(sizes: np.ndarray, seed: int, of_trip: int = 0, between: float = 0.0) -> Track:
+    """Return the track of a truck whose sizes [n, p] are these.
+
+    of_trip: mean number of shifts of a trip; 0: all are one. between: standard deviation of the
+    sizes between trips, by that of a shift.
+    """
     generator = np.random.default_rng(seed)
     information = information_of(generator, sizes.shape[1])
+    own = np.diag(information) ** -0.5
     track = Track.of(tuple(f"p{k}" for k in range(sizes.shape[1])))
-    for begin in range(0, len(sizes), at_once):
-        h, z = observed(generator, sizes[begin : begin + at_once], information)
-        track.take(h, z, np.arange(begin, begin + len(z)) * 60.0)
+    begin, time_s = 0, 0.0
+    while begin < len(sizes):
+        n = 500 if not of_trip else 1 + int(generator.exponential(of_trip))
+        here = sizes[begin : begin + n]
+        if between:
+            here = here + between * own * generator.normal(size=len(own))
+        h, z = observed(generator, here, information)
+        track.take(h, z, time_s + np.arange(len(z)) * 60.0)
+        begin, time_s = begin + n, time_s + len(z) * 60.0 + (1e4 if of_trip else 0.0)
     return track
 
 
@@ -45,6 +56,10 @@ RATES = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Borders of the classes of drifts, in standard deviations of a shift in 1000 shifts."""
 STEPS = (0.3, 0.5, 1.0, 2.0)
 """Borders of the classes of steps, in standard deviations of a shift."""
+
+
+TRIPS = (8, 1.0), (60, 0.0), (60, 0.2), (60, 1.0), (300, 1.0)
+"""Mean number of shifts of a trip, and by how much trips differ, in standard deviations of a shift."""
 
 
 def measure(trucks: int = 100, shifts: int = 20_000) -> Iterator[str]:
@@ -62,6 +77,14 @@ def measure(trucks: int = 100, shifts: int = 20_000) -> Iterator[str]:
             f"{1e6 * (process_time() - began) / trucks / shifts:.0f} us of a processor a shift"
         )
     tracking.THRESHOLD = stated
+    for of_trip, between in TRIPS:
+        steady = np.zeros((shifts, PARAMETERS))
+        count = trucks // 4
+        alarms = sum(len(watched(steady, seed, of_trip, between).changes) for seed in range(count))
+        yield (
+            f"trips of {of_trip} shifts in the mean that differ by {between:g} standard deviations of a shift: "
+            f"{alarms} false alarms in {count * shifts:.0e} shifts"
+        )
     yield "| change | size | trucks | found | as such | within 200 shifts | error 50 %, 95 % | in its interval | interval 50 % | changes |"
     yield "|---|---|---|---|---|---|---|---|---|---|"
     for kind, borders in (("step", STEPS), ("drift", RATES)):

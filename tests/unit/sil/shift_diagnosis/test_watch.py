@@ -19,7 +19,7 @@ from sil.shift_diagnosis import watch as watching
 from sil.shift_diagnosis.linear import Linear, linearise
 from sil.shift_diagnosis.loads import BARRIERS, CONE
 from sil.shift_diagnosis.shifts import Shift
-from tests.bench.truck_logs import by_reference
+from tests.bench.truck_logs import by_reference, trips
 from tests.unit.sil.shift_diagnosis.test_shifts import without
 
 
@@ -154,6 +154,23 @@ def test_a_truck_whose_valves_become_late(
     assert truck["shifts"] >= 8 and truck["logs"] == 2
     delays = {row["name"]: row for row in truck["parameters"]}["valve_open_delay"]
     assert delays["low"] < 0.0005 and delays["high"] > -0.0005
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay_s", [0.0, 0.002])
+def test_what_differs_from_trip_to_trip_is_no_change(delay_s: float, tmp_path: Path) -> None:
+    """Phase of the sensor's sampling and speed difference differ; valves are late from trip 8 on."""
+    cause = {"effect.valve_open_delay.delay_s": delay_s} if delay_s else {}
+    trips(tmp_path / "truck", 12 if cause else 11, 12, 20, 8, cause)
+    out = tmp_path / "out"
+    assert main(["watch", str(tmp_path / "truck"), "--out", str(out)]) == (1 if cause else 0)
+    (truck,) = json.loads((out / "watch.json").read_text())["trucks"]
+    assert truck["shifts"] > 220 and truck["left_out"] < 10
+    assert truck["verdict"] == ("changed" if cause else "steady")
+    if cause:
+        (change,) = truck["changes"]
+        assert change["low"] <= 160 <= change["high"]
+        assert "valve_open_delay" in (change["name"], *change["alike"])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""Steps, lines and ramps in weighted estimates: what they explain, and how well they are known.
+
+Checked by: tests/unit/sil/shift_diagnosis/test_track.py
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def of_difference(h: Floats, parts: Floats) -> Floats:
+    """Return the part [m, p] of the variance of means after and before each cell, less each other.
+
+    h: precision [m, p] of the cells; parts: squared precision times the variance that counts.
+    """
+    before_h, before = np.cumsum(h, axis=0) - h, np.cumsum(parts, axis=0) - parts
+    after_h, after = h.sum(axis=0) - before_h, parts.sum(axis=0) - before
+    found = after / after_h**2
+    found[1:] += before[1:] / before_h[1:] ** 2
+    return np.asarray(found)
+
+
+def step_gains(h: Floats, a: Floats) -> Floats:
+    """Return chi squared gained by a step before each cell [m] or [m, p]; 0 before the first."""
+    score = h * a
+    before_h = np.cumsum(h, axis=0) - h
+    before = np.cumsum(score, axis=0) - score
+    after_h, after = h.sum(axis=0) - before_h, score.sum(axis=0) - before
+    gains = np.zeros_like(h)
+    mean = after[1:] / after_h[1:] - before[1:] / before_h[1:]
+    gains[1:] = mean**2 / (1.0 / after_h[1:] + 1.0 / before_h[1:])
+    return gains
+
+
+def line_of(t: Floats, a: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the weighted straight line at t [m], its value at 0 and slope [2], covariance [2, 2]."""
+    design = np.stack([np.ones_like(t), t], axis=1)
+    scale = np.array([1.0, 1.0 / max(1.0, float(np.abs(t).max()))])
+    design = design * scale
+    covariance = np.linalg.inv(design.T @ (design * h[:, None]) + 1e-12 * np.eye(2))
+    estimate = covariance @ (design.T @ (h * a))
+    return design @ estimate, estimate * scale, covariance * np.outer(scale, scale)
+
+
+def ramp_costs(t: Floats, a: Floats, h: Floats) -> Floats:
+    """Return chi squared [m] of a level that becomes a line at each cell."""
+    rest = a - np.average(a, weights=h)
+    ramps = np.maximum(0.0, t - t[:, None])
+    ramps -= (ramps @ h / h.sum())[:, None]
+    gains = (ramps @ (h * rest)) ** 2 / np.maximum(ramps**2 @ h, 1e-12)
+    return np.asarray(np.sum(h * rest**2) - gains)

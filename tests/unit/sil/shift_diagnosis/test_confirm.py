@@ -1,0 +1,68 @@
+"""Changes confirmed by fits to shifts: named by what explains them, refused if nothing does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sil.shift_diagnosis.confirm import Confirming
+from sil.shift_diagnosis.model import Cause
+from sil.shift_diagnosis.track import Change, Track
+from tests.unit.sil.shift_diagnosis.fits import only
+
+CAUSES = [only(name) for name in ("valve_open_delay", "static_friction", "sensor_gain")]
+LATE, STATIC, GAIN = (cause.effect.id for cause in CAUSES)
+PRECISION = 4.0
+
+
+def confirming(true: dict[str, float], leakage: float = 0.0) -> Confirming:
+    """Return what confirms changes of 24 shifts whose chi squared is that of other sizes."""
+
+    def linear(
+        shifts: Sequence[int], causes: Sequence[Cause], active: dict[Cause, float]
+    ) -> SimpleNamespace:
+        sizes = {cause.effect.id: size for cause, size in active.items()}
+        away = [true.get(c.effect.id, 0.0) - sizes.get(c.effect.id, 0.0) for c in CAUSES]
+        own = [away[CAUSES.index(cause)] for cause in causes]
+        n = len(shifts)
+        return SimpleNamespace(
+            units=0,
+            misfit=np.full(n, 10.0 + leakage + PRECISION * float(np.square(away).sum())),
+            information=np.broadcast_to(PRECISION * np.eye(len(causes)), (n, len(causes), len(causes))),
+            score=np.tile(PRECISION * np.array(own), (n, 1)),
+        )  # fmt: skip
+
+    names = tuple(cause.effect.id for cause in CAUSES)
+    track = Track.of(names)
+    sizes = np.zeros((200, 3))
+    sizes[176:, 1] = 2.0  # what the linear model says
+    track.take(np.broadcast_to(np.eye(3), (200, 3, 3)), sizes, np.arange(200.0))
+    track.changes.clear()
+    return Confirming(track, 176, list(range(24)), linear, CAUSES, {})
+
+
+def change(name: str) -> Change:
+    return Change(
+        name=name, kind="step", shift=180, low=180, high=180, time_s=0.0, found=200, sigma=9.0, alike=[]
+    )  # fmt: skip
+
+
+def test_a_change_gets_the_name_of_what_explains_its_shifts() -> None:
+    found = confirming({LATE: 1.5})(change(STATIC))
+    assert found is not None
+    assert (found.name, found.alike) == (LATE, [])
+    assert (found.shift, found.sigma) == (180, 9.0)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.2])
+def test_a_change_that_its_shifts_do_not_show_is_refused(size: float) -> None:
+    assert confirming({STATIC: size})(change(STATIC)) is None
+
+
+def test_without_shifts_after_it_a_change_waits() -> None:
+    early = confirming({STATIC: 2.0})
+    later = Confirming(early.track, 200, [], early.linear, CAUSES, {})
+    assert later(change(STATIC)) is None
