@@ -5,11 +5,17 @@ Checked by: tests/unit/sil/diagnosis/test_force_rig.py
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from sil.campaign.campaign import Floats
 from sil.diagnosis.noise import rounding_of
+
+MOVING_SHARE: Final = 0.25
+"""Share of a run at one position with forces above the median in motion: then it is no rest."""
 
 
 def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
@@ -28,10 +34,13 @@ def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
             if len(rows):
                 where = f"the first at sample {first + rows[0] + 1}"
                 found.append(f"{file}: {name}: {len(rows)} {what}, {where}")
-        start, held = _stuck(values, signals[0])
+        if name == "position":
+            what, (start, held) = name, _held(values, signals[1])
+        else:
+            what, (start, held) = f"driving {name}", _stuck(values, signals[0])
         if held:
             found.append(
-                f"{file}: the driving {name} keeps one value over {held} samples in motion from "
+                f"{file}: the {what} keeps one value over {held} samples in motion from "
                 f"sample {first + start + 1} on: stuck or saturated"
             )
     return found
@@ -68,8 +77,8 @@ def _jumps(position: Floats) -> NDArray[np.int64]:
     return np.flatnonzero(steps > max(20.0 * usual, 0.02 * float(np.ptp(position))))
 
 
-def _stuck(values: Floats, position: Floats) -> tuple[int, int]:
-    """Return first sample and length of a run of one value in motion, (0, 0) if none is unusual."""
+def _runs(values: Floats) -> Iterator[slice]:
+    """Yield the unusually long runs of one value, the longest first."""
     changes = np.flatnonzero(np.diff(values) != 0.0)
     edges = np.concatenate([[0], changes + 1, [len(values)]])
     lengths = np.diff(edges)
@@ -77,7 +86,29 @@ def _stuck(values: Floats, position: Floats) -> tuple[int, int]:
     for k in np.argsort(-lengths)[:20]:
         if lengths[k] < max(20.0, 10.0 * usual):
             break
-        run = position[edges[k] : edges[k + 1]]
-        if np.ptp(run) > 0.05 * np.ptp(position):
-            return int(edges[k]), int(lengths[k])
+        yield slice(int(edges[k]), int(edges[k + 1]))
+
+
+def _stuck(values: Floats, position: Floats) -> tuple[int, int]:
+    """Return first sample and length of a run of one value in motion, (0, 0) if none is unusual."""
+    for run in _runs(values):
+        if np.ptp(position[run]) > 0.05 * np.ptp(position):
+            return run.start, run.stop - run.start
+    return 0, 0
+
+
+def _held(position: Floats, force: Floats) -> tuple[int, int]:
+    """Return first sample and length of a run of one position under forces that move the body.
+
+    (0, 0) if there is none. At the ends of the travel a stop can hold it.
+    """
+    low, high = np.min(position), np.max(position)
+    moving = _moves(position)
+    if not moving.any():
+        return 0, 0
+    strong = np.abs(force) > np.median(np.abs(force[moving]))
+    for run in _runs(position):
+        inside = 0.02 < (position[run.start] - low) / (high - low) < 0.98
+        if inside and np.mean(strong[run]) > MOVING_SHARE:
+            return run.start, run.stop - run.start
     return 0, 0

@@ -80,8 +80,8 @@ class ForceRig(Struct, frozen=True, forbid_unknown_fields=True):
 
     name: Text
     rig: Literal["force"]
-    sample_rate_hz: Rate
     stroke: Annotated[list[RecordedMotion], Meta(min_length=1)]
+    sample_rate_hz: Rate | None = None
     columns: dict[str, Text | ColumnMap] = {}
     body: Body = Body()
 
@@ -171,7 +171,7 @@ def read_motion(path: str | Path) -> Recorded:
     records = [read_record(file.parent / entry.file, columns) for entry in rig.stroke]
     rotary = any("angle_rad" in record for record in records)
     usual = [float(np.median(np.diff(record.time_s))) for record in records]
-    step = max(1.0 / rig.sample_rate_hz, *usual)
+    step = max(1.0 / rig.sample_rate_hz if rig.sample_rate_hz else 0.0, *usual)
     findings: list[str] = []
     doubts: list[str] = []
     parts: list[Floats] = []
@@ -197,7 +197,8 @@ def read_motion(path: str | Path) -> Recorded:
             noise.append(sds)
     if not parts:
         raise InputError(
-            f"{file.parent}: no {FEWEST_SAMPLES} samples without a gap; expected strokes"
+            f"{file}: at {1.0 / step:.4g} samples a second (by sample_rate_hz, or the slowest file) no part "
+            f"without a gap lasts {MARGIN:.0f} samples; expected longer strokes, or another sample_rate_hz"
         )
     return _judged(rig, parts, step, noise, rotary, findings, doubts)
 

@@ -124,14 +124,15 @@ def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]
     vague = [source for source, _scale, stated in found.values() if not stated]
     if vague:
         asked.append(f"no unit is stated for {', '.join(vague)}: SI is assumed")
-    rate = 1.0
+    rate = []
     if "time_s" in found:
         name, scale, _stated = found["time_s"]
-        rate = 1.0 / (scale * float(np.median(np.diff(columns[name]))))
+        hertz = 1.0 / (scale * float(np.median(np.diff(columns[name]))))
+        rate = [f"sample_rate_hz = {float(f'{hertz:.6g}')}"]
     lines = [
         f"name = {toml_value(folder.name)}",
         'rig = "force"',
-        f"sample_rate_hz = {float(f'{rate:.6g}')}",
+        *rate,
         "",
         *(f"# {text}" for text in asked),
         "[columns]",

@@ -176,6 +176,24 @@ def test_a_stuck_force_is_found_though_a_pressure_is_added(tmp_path) -> None:
     assert "stuck or saturated" in diagnose_force(folder).doubts[0]
 
 
+def test_a_position_that_stays_though_the_force_moves_the_body_is_stuck() -> None:
+    t = np.arange(4000) / 500.0
+    x, force = np.sin(3.0 * t), 50.0 * np.cos(3.0 * t)
+    free, stuck, at_stop = x.copy(), x.copy(), np.clip(x, -1.0, 0.5)
+    stuck[2000:2700] = x[2000]
+    at_rest = np.where(stuck == x[2000], 0.0, force)  # no force while it stays
+    for position, own, found in (
+        (free, force, 0),
+        (at_stop, force, 0),
+        (stuck, force, 1),
+        (stuck, at_rest, 0),
+    ):
+        signals = np.array([position, own, np.full(len(t), np.nan)])
+        texts = [text for text in odd_channels("a.csv", signals, 0) if "stuck" in text]
+        assert len(texts) == found
+        assert all("the position keeps one value over 700 samples" in text for text in texts)
+
+
 def test_a_force_that_changes_its_sign_where_the_body_turns_has_no_spikes() -> None:
     t = np.arange(4000) / 500.0
     signals = np.array([np.sin(3.0 * t), 50.0 * np.cos(t), np.full(len(t), np.nan)])

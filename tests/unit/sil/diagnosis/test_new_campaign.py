@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from can_dbc.errors import InputError
 from sil.cli import main
+from sil.diagnosis.force_record import read_motion
 from sil.diagnosis.new_campaign import draft, guess, unit_of
 
 
@@ -45,6 +47,27 @@ def test_a_stored_unit_is_drafted_and_a_channel_without_values_is_not_used(tmp_p
         "position_m": {"column": "lvdt", "scale": 1e-3},
         "force_n": {"column": "kraft", "scale": 1e3},
     }
+
+
+def test_a_draft_without_time_states_no_rate(tmp_path: Path) -> None:
+    t = np.arange(4000) / 100.0
+    v = 0.1 * np.cos(t) + 0.15 * np.cos(5.0 * t)
+    a = -0.1 * np.sin(t) - 0.75 * np.sin(5.0 * t)
+    x = 0.1 * np.sin(t) + 0.03 * np.sin(5.0 * t)
+    f = 20.0 * a + 15.0 * np.sign(v) + 80.0 * v
+    noise = np.random.default_rng(1).normal(0.0, [0.0, 1e-6, 1.0], (len(t), 3))
+    np.savetxt(tmp_path / "a.csv", np.column_stack([1e3 * t, x, f]) + noise, delimiter="\t")
+    (tmp_path / "new").mkdir()
+    draft(tmp_path / "new", [tmp_path / "a.csv"])
+    file = tmp_path / "new" / "campaign.toml"
+    text = file.read_text(encoding="utf-8")
+    columns = 'time_s = { column = "column_1", scale = 0.001 }\nposition_m = "column_2"\nforce_n = "column_3"'
+    stated = text.replace("[columns]", "[columns]\n" + columns)
+    file.write_text(stated, encoding="utf-8")
+    assert read_motion(tmp_path / "new").step_s == pytest.approx(0.01, rel=1e-6)
+    file.write_text("sample_rate_hz = 1.0\n" + stated, encoding="utf-8")
+    with pytest.raises(InputError, match=r"at 1 samples a second .* another sample_rate_hz"):
+        read_motion(tmp_path / "new")
 
 
 def test_a_draft_is_diagnosed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
