@@ -5,10 +5,22 @@ Checked by: tests/unit/sil/shift_diagnosis/test_track.py
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+
+LEAST: Final = 1e-12
+"""Precision of cells that say nothing of a parameter: differences of sums can be 0 or below."""
+
+
+def _sums(h: Floats) -> tuple[Floats, Floats]:
+    """Return the precision before each cell [m] or [m, p], and from it on; never quite 0."""
+    before = np.cumsum(h, axis=0) - h
+    after = h.sum(axis=0) - before
+    return np.maximum(before, LEAST), np.maximum(after, LEAST)
 
 
 def of_difference(h: Floats, parts: Floats) -> Floats:
@@ -16,8 +28,9 @@ def of_difference(h: Floats, parts: Floats) -> Floats:
 
     h: precision [m, p] of the cells; parts: squared precision times the variance that counts.
     """
-    before_h, before = np.cumsum(h, axis=0) - h, np.cumsum(parts, axis=0) - parts
-    after_h, after = h.sum(axis=0) - before_h, parts.sum(axis=0) - before
+    before_h, after_h = _sums(h)
+    before = np.cumsum(parts, axis=0) - parts
+    after = parts.sum(axis=0) - before
     found = after / after_h**2
     found[1:] += before[1:] / before_h[1:] ** 2
     return np.asarray(found)
@@ -26,9 +39,9 @@ def of_difference(h: Floats, parts: Floats) -> Floats:
 def step_gains(h: Floats, a: Floats) -> Floats:
     """Return chi squared gained by a step before each cell [m] or [m, p]; 0 before the first."""
     score = h * a
-    before_h = np.cumsum(h, axis=0) - h
+    before_h, after_h = _sums(h)
     before = np.cumsum(score, axis=0) - score
-    after_h, after = h.sum(axis=0) - before_h, score.sum(axis=0) - before
+    after = score.sum(axis=0) - before
     gains = np.zeros_like(h)
     mean = after[1:] / after_h[1:] - before[1:] / before_h[1:]
     gains[1:] = mean**2 / (1.0 / after_h[1:] + 1.0 / before_h[1:])

@@ -251,7 +251,7 @@ class Track:
         share = gain[FEWEST_CELLS:] / self._limits2(whole)[FEWEST_CELLS:]
         j, k = divmod(int(np.argmax(share)), len(self.names))
         j += FEWEST_CELLS
-        if share.max() < 1.0:
+        if not share.max() >= 1.0:
             self._date(self.shifts)
             return None
         shift = int(self.first[whole.start + j])
@@ -263,6 +263,11 @@ class Track:
         )  # fmt: skip
         if confirm is not None and change is not None:
             change = confirm(change)
+        if change is not None and change.name != self.names[k]:
+            k = self.names.index(change.name)  # has this one changed by more than it scatters?
+            sigma = float(np.sqrt(gain[j, k]))
+            own = share[j - FEWEST_CELLS, k] >= 1.0
+            change = msgspec.structs.replace(change, sigma=sigma) if own else None
         if change is None:
             self._date(self.shifts)
             return None
