@@ -39,7 +39,7 @@ simulation (`python -m tests.bench watch_rates`)."""
 RAMP_GAIN: Final = 4.0
 """Half chi squared by which a drift must be better than a step."""
 SEPARABLE: Final = 9.0
-"""Chi squared by which the changes of two parameters must differ to be told apart."""
+"""Chi squared by which the changes of two parameters must differ to be distinguished."""
 FEWEST_TRIPS: Final = 10
 """Trips from which a change can be found where there are several: how they differ is then known."""
 TRIPS: Final = 1.5

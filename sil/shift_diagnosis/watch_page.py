@@ -27,8 +27,8 @@ MOST_DRAWN: Final = 12
 ABSOLUTE_S: Final = 315_532_800.0
 """Times after this, 1980, count from 1970."""
 BASIS: Final = (
-    f"a change is reported from {THRESHOLD:g} standard deviations on; simulated with shifts, and trips, "
-    "of normal scatter (docs, truck-diagnosis)"
+    f"a change is reported from {THRESHOLD:g} standard deviations on; simulated with shifts, and trips, of "
+    "normal scatter; not shown for trips that differ otherwise (docs, truck-diagnosis)"
 )
 
 
