@@ -2,7 +2,7 @@
 
 The track finds a change by shifts that were linearised before it. Far from that point they are not
 linear: one cause looks like others, and shifts about to stick look like a change.
-Checked by: tests/unit/sil/shift_diagnosis/test_watch.py
+Checked by: tests/unit/sil/shift_diagnosis/test_confirm.py, test_watch.py
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ class Scatter:
     squares [p], pairs: of adjacent blocks within a trip, by the stated variance. excess [p]: of the
     means of adjacent trips, half the square of their difference beyond what their shifts explain,
     with a weight that is larger for longer trips; weight, weight2 [p]: sums of that and of its
-    square. h, score [p]: sums of the present trip; last_h, last [p]: information and mean of the trip before it, empty if there
-    is none to compare with. total_h [p], shifts, trips: of all.
+    square. h, score [p]: sums of the present trip; last_h, last [p]: information and mean of the
+    trip before it, empty if there is none to compare with. total_h [p], shifts, trips: of all.
     """
 
     squares: Floats

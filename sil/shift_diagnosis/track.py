@@ -255,14 +255,13 @@ class Track:
             self._date(self.shifts)
             return None
         shift = int(self.first[whole.start + j])
-        change: Change | None = Change(
+        found = Change(
             name=self.names[k], kind="step", shift=shift, low=shift, high=shift,
             time_s=float(self.time_s[whole.start + j]), found=self.shifts,
             sigma=float(np.sqrt(gain[j, k])), alike=self._alike(whole.start, whole.start + j, k),
             since=-1 if self.drifting else self.since,
         )  # fmt: skip
-        if confirm is not None and change is not None:
-            change = confirm(change)
+        change = found if confirm is None else confirm(found)
         if change is not None and change.name != self.names[k]:
             k = self.names.index(change.name)  # has this one changed by more than it scatters?
             sigma = float(np.sqrt(gain[j, k]))

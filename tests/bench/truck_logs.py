@@ -92,7 +92,7 @@ def truck_log(
 
 
 DAY_S = 86_400
-LATE_S = 1_700_000_000
+FIRST_DAY_S = 1_700_000_000
 
 
 def trips(
@@ -112,7 +112,7 @@ def trips(
         loaded = load_scenario.from_table(
             raw, "drawn", settings=[*settings, *own], seed=1000 * seed + trip
         )
-        begin_ns = (LATE_S + trip * DAY_S) * 1_000_000_000
+        begin_ns = (FIRST_DAY_S + trip * DAY_S) * 1_000_000_000
         _write(folder / f"{trip:03d}.log", loaded, begin_ns)
 
 

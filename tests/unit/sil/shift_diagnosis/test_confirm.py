@@ -18,7 +18,7 @@ LATE, STATIC, GAIN = (cause.effect.id for cause in CAUSES)
 PRECISION = 4.0
 
 
-def confirming(true: dict[str, float], leakage: float = 0.0) -> Confirming:
+def confirming(true: dict[str, float]) -> Confirming:
     """Return what confirms changes of 24 shifts whose chi squared is that of other sizes."""
 
     def linear(
@@ -30,7 +30,7 @@ def confirming(true: dict[str, float], leakage: float = 0.0) -> Confirming:
         n = len(shifts)
         return SimpleNamespace(
             units=0,
-            misfit=np.full(n, 10.0 + leakage + PRECISION * float(np.square(away).sum())),
+            misfit=np.full(n, 10.0 + PRECISION * float(np.square(away).sum())),
             information=np.broadcast_to(PRECISION * np.eye(len(causes)), (n, len(causes), len(causes))),
             score=np.tile(PRECISION * np.array(own), (n, 1)),
         )  # fmt: skip
