@@ -33,7 +33,7 @@ from sil.shift_diagnosis.track import Change, Track
 from sil.shift_diagnosis.verdict import LARGEST
 
 STORE: Final = "watch.sqlite"
-STORE_VERSION: Final = 4
+STORE_VERSION: Final = 5
 AT_ONCE: Final = 200
 """Shifts that are simulated in one call."""
 ODD: Final = 8.0
@@ -43,8 +43,8 @@ OBSERVATIONS: Final = "time_s,"
 """How a file of per-shift observations begins: time_s, then NAME and NAME_sd of every parameter."""
 
 _TABLES: Final = """
-create table if not exists log (truck text, path text, size integer, shifts integer, skipped integer,
-  primary key (truck, path));
+create table if not exists log (truck text, path text, size integer, first integer, shifts integer,
+  skipped integer, primary key (truck, path));
 create table if not exists truck (name text primary key, reference blob, track blob);
 create table if not exists odd (truck text, number integer, time_s real, path text, chi2 real);
 """
@@ -68,11 +68,12 @@ class Reference(msgspec.Struct):
 
 @dataclass(frozen=True)
 class Watched:
-    """One truck as the store has it."""
+    """One truck as the store has it.  change_logs: the log that begins with or holds each change."""
 
     name: str
     track: Track
     logs: int
+    change_logs: list[str]
     skipped: int
     odd: list[tuple[int, float, str, float]]
 
@@ -178,6 +179,7 @@ class Watch:
         reference = None
         if row is not None and row[0] is not None:
             reference = msgspec.msgpack.decode(row[0], type=Reference)
+        first = 0 if track is None else track.shifts
         run("begin")
         try:
             if _is_observations(path):
@@ -188,7 +190,8 @@ class Watch:
                     truck, name, track, reference
                 )
             stored = None if reference is None else msgspec.msgpack.encode(reference)
-            run("insert into log values (?, ?, ?, ?, ?)", (truck, name, size, count, skipped))
+            values = truck, name, size, first, count, skipped
+            run("insert into log values (?, ?, ?, ?, ?, ?)", values)
             run("insert or replace into truck values (?, ?, ?)", (truck, stored, track.to_bytes()))
             run("commit")
         except BaseException:
@@ -285,7 +288,8 @@ class Watch:
     def trucks(self) -> Iterator[Watched]:
         """Yield every truck of the store, by name."""
         run = self._connection.execute
-        for name, track in run("select name, track from truck order by name").fetchall():
+        for name, stored in run("select name, track from truck order by name").fetchall():
+            track = Track.from_bytes(stored)
             logs, skipped = run(
                 "select count(*), sum(skipped) from log where truck = ?", (name,)
             ).fetchone()
@@ -293,7 +297,16 @@ class Watch:
                 "select number, time_s, path, chi2 from odd where truck = ? order by number desc limit 20",
                 (name,),
             ).fetchall()
-            yield Watched(name, Track.from_bytes(track), logs, skipped, odd)
+            change_logs = [self._log_at(name, change.shift) for change in track.changes]
+            yield Watched(name, track, logs, change_logs, skipped, odd)
+
+    def _log_at(self, truck: str, shift: int) -> str:
+        """Return the log that holds a tracked shift of a truck."""
+        (path,) = self._connection.execute(
+            "select path from log where truck = ? and first <= ? order by first desc, rowid desc limit 1",
+            (truck, shift),
+        ).fetchone()
+        return str(path)
 
 
 def _is_observations(path: Path) -> bool:

@@ -19,7 +19,10 @@ from sil.shift_diagnosis.watch import Watched, tracked_causes
 def as_json(watched: Watched, limits: dict[str, float]) -> dict[str, Any]:
     """Return one truck's object in watch.json; limits: by parameter, in its unit."""
     track, causes = watched.track, {c.effect.id: c for c in tracked_causes()}
-    changes = [_change_json(track, number, causes) for number in range(len(track.changes))]
+    changes = [
+        _change_json(track, number, causes) | {"log": watched.change_logs[number]}
+        for number in range(len(track.changes))
+    ]
     parameters = []
     for k, name in enumerate(track.names):
         size, deviation = track.level(k, track.since)

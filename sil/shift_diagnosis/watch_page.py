@@ -84,7 +84,7 @@ def _lines(truck: dict[str, Any]) -> list[str]:
         )
     for change in truck["changes"]:
         before, after = change["before"], change["after"]
-        when = f"shift {change['shift']} [{change['low']}, {change['high']}], {_when(change['time_s'])}"
+        when = f"shift {change['shift']} [{change['low']}, {change['high']}], {_when(change)}"
         unit = "" if after["unit"] == "-" else f" {after['unit']}"
         if change["kind"] == "drift":
             lines.append(f"{change['name']} drifts from {when} on ({change['sigma']:.1f} sigma)")
@@ -116,10 +116,12 @@ def _text(item: dict[str, Any]) -> str:
     return f"{item['value']:.4g} [{item['low']:.4g}, {item['high']:.4g}]"
 
 
-def _when(time_s: float) -> str:
-    if time_s < ABSOLUTE_S:
-        return f"{time_s:.0f} s"
-    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+def _when(change: dict[str, Any]) -> str:
+    """Return the log that a change is in, and its date where the log has the time of day."""
+    if change["time_s"] < ABSOLUTE_S:
+        return str(change["log"])
+    date = datetime.fromtimestamp(change["time_s"], UTC)
+    return f"{date:%Y-%m-%d %H:%M} UTC in {change['log']}"
 
 
 def _figure(watched: Watched) -> Stack:

@@ -63,6 +63,7 @@ def test_a_fleet_is_watched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     (change,) = two["changes"]
     assert abs(change["shift"] - 2700) <= 40
     assert change["before"]["high"] < 0.0004 < 0.001 < change["after"]["low"]  # s: 3 ms a size
+    assert change["log"].endswith("two/1.csv") and any(change["log"] in x for x in two["lines"])
     assert any("next: measure" in line for line in two["lines"])
     assert "valve_open_delay" in (tmp_path / "out" / "report.html").read_text()
 
