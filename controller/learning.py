@@ -24,7 +24,7 @@ HEADER = struct.Struct("<4sBBIBbbf")
 CHECKSUM = struct.Struct("<I")
 RELEASE_S = 0.0012
 """Scatter of a release that was measured under a plain push."""
-SURPRISING, OUTLYING, RECENT = 6.0, 64.0, 16.0
+SURPRISING, OUTLYING, RECENT = 6.0, 20.0, 16.0
 """The square of an error, by its variance, counts up to the first, that of an outlier up to the second;
 the mean is over so many shifts."""
 
@@ -151,8 +151,8 @@ class Correction(abc.ABC):
     def note(self, error_s: float, variance: float, is_outlier: bool = False) -> None:
         """Take how far a release was from what was expected, and the variance expected of that.
 
-        A unit whose errors are larger than it expects knows less than it says; a gross outlier counts
-        for many shifts, since a valve that failed once, as by a loose contact, will fail again.
+        A unit whose errors are larger than it expects knows less than it says; gross outliers count
+        for more, since a valve that failed twice, as by a loose contact, will fail again.
         """
         square = min(error_s * error_s / variance, OUTLYING if is_outlier else SURPRISING)
         self.surprise += (square - self.surprise) / RECENT

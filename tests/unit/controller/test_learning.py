@@ -185,7 +185,7 @@ def test_the_surprise_is_the_mean_square_of_the_latest_errors_limited() -> None:
     method.note(0.0088, 4e-6, is_outlier=True)
     assert method.surprise == pytest.approx(1.0 + (4.4**2 - 1.0) / 16.0)
     method.note(1.0, 4e-6, is_outlier=True)
-    assert method.surprise == pytest.approx(6.0, abs=0.1)
+    assert method.surprise == pytest.approx(2.1475 + (20.0 - 2.1475) / 16.0)
     for _ in range(200):
         method.note(0.0, 4e-6)
     assert method.surprise < 1e-4
