@@ -30,6 +30,7 @@ from controller.programmes import (
 from controller.settings import ControlConfig, bounded
 from controller.strategies import Duties, ShiftContext
 from controller.strategies.into_gear import PUSH, Command, IntoGear, IntoGearParameters, Progress
+from controller.strategies.release import REPORT_RAD_S, Release
 
 COLDEST_K, REFERENCE_K, WARMEST_K = 253.15, 293.15, 343.15
 SLOW_S, SLOWEST_S = 0.0015, 0.0045
@@ -41,8 +42,6 @@ OPEN_S = 0.008
 """Opening delay of the valves (thesis 3.1.3)."""
 WARM_K, DRAG_FOLD_K = 328.15, 26.0
 """A warm unit, and its cooling by which the drag of the oil, which is colder then, grows e-fold."""
-REPORT_RAD_S = 0.28
-"""Scatter of a reported difference of the speeds; one below four times this is none."""
 UNSTEADY_RAD_S = 12.0 * REPORT_RAD_S
 """A difference before the push that is further from the one before it is no speed."""
 TIMING_S = 0.0007
@@ -56,8 +55,6 @@ MESH_VARIANCE = 0.02 * 0.02
 BEARS, BEARS_MORE = (0.16, 0.056), (0.2315, 0.107)
 """By which share more meshing force than that of the tables the careful programmes are made to bear,
 and the strong ones than that of their level: at `LIKELY` and at `UNLIKELY` standard deviations."""
-ARRIVED = 0.9
-"""Share of the stroke at which the stay has passed the teeth."""
 LIKELY, UNLIKELY = 2.2, 4.0
 """Standard deviations that happen together with others; from which on something else is wrong."""
 REST_S, REST_CLOSE_S, AIR_S, AIR_FOLD_S = 0.2, 0.035, 0.001, 0.0265
@@ -165,16 +162,12 @@ class Learned(IntoGear):
         self._sum_rad_s, self._count = 0.0, 0
         self._last_rad_s: float | None = None
         self._reported_s = -LONGEST_S
-        self._falling: tuple[tuple[float, float], ...] = ()
         self._expected: Expected | None = None
         self._found: tuple[float, float] | None = None
         self._programme: Programme | None = None
         self._target_s = 0.0
         self._undisturbed_s = LONGEST_S
-        self._released_s: float | None = None
-        self._before_m: float | None = None
-        self._arrived_s: float | None = None
-        self._fastest_m_s = 0.0
+        self._release = Release(self.config.sensor.period_s, self.config.windows.stroke_m)
 
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
         """Return the duties of the programme, or the open loop's."""
@@ -182,15 +175,7 @@ class Learned(IntoGear):
             self._prepare(now_ns, shift)
         if self._expected is None and shift.apart_rad_s is not None:
             self._drag = copysign(self._cold, -shift.apart_rad_s)
-        for sample in estimate.samples:
-            if self._before_m is not None and self._falling:
-                way_m = abs(sample.raw_m - self._before_m)
-                self._fastest_m_s = max(self._fastest_m_s, way_m / self.config.sensor.period_s)
-                over_m = abs(sample.raw_m) - ARRIVED * self.config.windows.stroke_m
-                if over_m > 0.0 and self._arrived_s is None and way_m > 0.0:
-                    back_s = min(over_m / way_m, 1.0) * self.config.sensor.period_s
-                    self._arrived_s = 1e-9 * (now_ns - shift.start_ns) - back_s
-            self._before_m = sample.raw_m
+        self._release.position(estimate.samples, 1e-9 * (now_ns - shift.start_ns))
         return super().command(now_ns, estimate, shift)
 
     def _prepare(self, now_ns: int, shift: ShiftContext) -> None:
@@ -284,13 +269,14 @@ class Learned(IntoGear):
             self._count += 1
             if self._count > 1:  # the first step has enough to do
                 self._expect(self._sum_rad_s / self._count)
-        elif self._expected is not None and self._released_s is None:
+        elif self._expected is not None and self._release.released_s is None:
             before_rad_s = self._sum_rad_s / self._count
             if before_rad_s < 4.0 * REPORT_RAD_S:
                 self._plain = True
                 return
-            self._measure(apart_s - self._expected.age_s, apart_rad_s, before_rad_s)
-            if apart_s - self._expected.age_s < self._undisturbed_s:
+            at_s = apart_s - self._expected.age_s
+            self._plain |= not self._release.speeds(at_s, apart_rad_s, before_rad_s)
+            if at_s < self._undisturbed_s:
                 self._follow(self._expected, apart_s, 1.0 - apart_rad_s / before_rad_s)
 
     def _expect(self, before_rad_s: float) -> None:
@@ -344,37 +330,19 @@ class Learned(IntoGear):
                 variance=LONGEST_S if unlikely else (1.0 - weight) * offset.variance,
             )
 
-    def _measure(self, apart_s: float, apart_rad_s: float, before_rad_s: float) -> None:
-        """Find the release between the last report of a difference and the first of none.
-
-        From the last one on the difference falls as before, faster by the trend of the falls.
-        """
-        if apart_rad_s > 4.0 * REPORT_RAD_S:
-            self._falling = (*self._falling, (apart_s, apart_rad_s))[-3:]
-            return
-        if not self._falling:
-            self._plain = True
-            return
-        last_s, rest_rad_s = self._falling[-1]
-        differences = [before_rad_s, *(rad_s for _, rad_s in self._falling)]
-        fall = differences[-2] - rest_rad_s
-        if len(self._falling) == 3:
-            fall += 0.7 * (fall - (differences[-3] - differences[-2]))
-        share = rest_rad_s / fall if fall > rest_rad_s else 1.0
-        self._released_s = last_s + share * (apart_s - last_s)
-
     def ended(self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool) -> None:
         """Compare the release with what was expected, and pass the difference to the method."""
         correction, expected = self.correction, self._expected
-        still_apart = self._falling and self._released_s is None  # in gear: the speeds are wrong
-        if still_apart or not (confirmed and healthy):
+        release = self._release
+        # speeds that still differ in gear are wrong
+        if release.is_open or not (confirmed and healthy):
             correction.plain = self.parameters.plain_pushes
             return
         correction.shifts = min(correction.shifts + 1, 0xFFFFFFFF)
-        if self._plain or expected is None or self._released_s is None:
+        if self._plain or expected is None or release.released_s is None:
             return
-        error_s, variance = self._error(expected, self._released_s)
-        travel_s = (self._arrived_s or 0.0) - self._released_s - expected.age_s
+        error_s, variance = self._error(expected, release.released_s)
+        travel_s = (release.arrived_s or 0.0) - release.released_s - expected.age_s
         if self._programme is not None:
             error_s += max(travel_s - STALLED_S, 0.0)
         total = expected.offset.measured + variance
@@ -388,8 +356,8 @@ class Learned(IntoGear):
         if not is_outlier or correction.is_evidence(
             expected.context.direction, error_s, self.parameters.outliers
         ):
-            correction.learn(expected.context, error_s, self._fastest_m_s, variance)
-            if self._programme is None and self._arrived_s is not None:
+            correction.learn(expected.context, error_s, release.fastest_m_s, variance)
+            if self._programme is None and release.arrived_s is not None:
                 self._weigh(expected, expected.prior_s + error_s, travel_s)
 
     def _weigh(self, expected: Expected, released_s: float, travel_s: float) -> None:

@@ -1,0 +1,54 @@
+"""When a push was released and when it arrived, from reports."""
+
+from __future__ import annotations
+
+import pytest
+
+from controller.position import Sample
+from controller.strategies.release import Release
+
+
+def falling(*apart_rad_s: float) -> Release:
+    """Return a release after reports every 10 ms from 0.1 s on, the difference before it 20 rad/s."""
+    made = Release(0.002, 0.012)
+    for k, each in enumerate(apart_rad_s):
+        assert made.speeds(0.1 + 0.01 * k, each, 20.0)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("apart_rad_s", "released_s"),
+    [
+        ((10.0, 0.0), 0.11),
+        ((15.0, 10.0, 5.0, 0.0), 0.13),
+        ((18.0, 14.0, 6.0, 0.0), 0.12 + 0.01 * 6.0 / (8.0 + 0.7 * 4.0)),
+        ((15.0, 12.0, 9.0, 0.0), 0.13),
+    ],
+    ids=["after one report", "steadily", "ever faster", "not yet when it was expected"],
+)
+def test_the_release_is_where_the_fall_goes_on_to(
+    apart_rad_s: tuple[float, ...], released_s: float
+) -> None:
+    made = falling(*apart_rad_s)
+    assert made.released_s == pytest.approx(released_s)
+    assert not made.is_open
+
+
+def test_a_fall_between_two_reports_gives_no_release() -> None:
+    made = Release(0.002, 0.012)
+    assert not made.speeds(0.1, 0.5, 20.0)
+    assert made.released_s is None
+    assert falling(10.0).is_open
+
+
+def test_the_arrival_is_between_two_samples_and_only_while_the_speeds_fall() -> None:
+    """Samples of 2 ms: 9 mm, then 11.8 mm; the teeth are passed at 10.8 mm."""
+    samples = [Sample(raw_m, raw_m, 0.0) for raw_m in (0.009, 0.0118)]
+    still, made = falling(), falling(10.0)
+    for each in (still, made):
+        each.position(samples, 0.15)
+    assert still.arrived_s is None
+    assert made.arrived_s == pytest.approx(0.15 - 0.002 * 1.0 / 2.8)
+    assert made.fastest_m_s == pytest.approx(0.0028 / 0.002)
+    made.position([Sample(0.0121, 0.0121, 0.0)], 0.2)
+    assert made.arrived_s == pytest.approx(0.15 - 0.002 * 1.0 / 2.8), "the first time counts"
