@@ -225,7 +225,9 @@ def parse_cells(path: Path, body: Sequence[str], width: int, first: int = 2) -> 
                     f"{path}: line {number}: {cell.strip()[:30]!r} is not a number"
                 ) from None
             if not math.isfinite(value):
-                raise InputError(f"{path}: line {number}: {cell.strip()!r} is not finite")
+                raise InputError(
+                    f"{path}: line {number}: {cell.strip()!r} is not finite; expected a number"
+                )
     raise InputError(f"{path}: no rows of numbers; expected {width} columns")
 
 

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plant.effects.force_term import Floats, Motion
+from sil.diagnosis.force_products import jackknife, products, solved
 from sil.diagnosis.force_record import Recorded
 from sil.diagnosis.force_terms import (
     FLEXIBLE,
@@ -255,11 +257,10 @@ class Bank:
     def add_smooth(self) -> list[Group]:
         """Add functions without a form; return their groups."""
         raw, first = self.record.raw, len(self.groups)
-        for name, (cause_class, over, turns) in SMOOTH.items():
-            values = over(raw)
-            if len(values):
-                table = hats(values, np.sign(raw.speed_m_s) if turns else None)
-                column = self.record.filtered(table)[self.record.judged]
+        for name, (cause_class, over, times) in SMOOTH.items():
+            values, factor = over(raw), None if times is None else times(raw)
+            if len(values) and (factor is None or len(factor)):
+                column = self.record.filtered(hats(values, factor))[self.record.judged]
                 self._add(name, UNNAMED, cause_class, None, column)
         self._reduce()
         return self.groups[first:]
@@ -271,12 +272,8 @@ class Bank:
         beyond = self.columns - self._base @ (self._base.T @ self.columns)
         beyond /= np.sqrt(np.sum(beyond**2, axis=0)) + 1e-300
         self._correlation = beyond.T @ beyond
-        fold = self.record.raw.block[self.record.judged]
-        rows = [np.flatnonzero(fold == number) for number in np.unique(fold)]
-        parts = [self.columns[r] for r in rows]
-        self._grams = np.array([part.T @ part for part in parts])
-        self._sides = np.array([p.T @ self.target[r] for p, r in zip(parts, rows, strict=True)])
-        self._squares = np.array([float(self.target[r] @ self.target[r]) for r in rows])
+        self._fold = self.record.raw.block[self.record.judged]
+        self._grams, self._sides, self._squares = products(self.columns, self.target, self._fold)
         # against the motion, on average over each stroke
         sign = np.sign(self.record.raw.speed_m_s[self.record.judged])
         stroke = np.unique(self.record.stroke[self.record.judged], return_inverse=True)[1]
@@ -293,8 +290,8 @@ class Bank:
     def attempt(self, groups: Sequence[Group]) -> Tried:
         """Fit a hypothesis with every group of strokes held out in turn; deviations by jackknife."""
         own = self.own(groups)
-        values, without = self._solved(own)
-        free = _jackknife(without - values)
+        values, without = solved(*self._of(own))
+        free = jackknife(without - values)
         # mass and friction are not negative: what comes out so is left out
         held = list(own)
         while True:
@@ -305,8 +302,8 @@ class Bank:
             held.remove(worst)
             rows = [own.index(k) for k in held]
             values, without = np.zeros(len(own)), np.zeros((len(without), len(own)))
-            values[rows], without[:, rows] = self._solved(held)
-        grams, sides = self._grams[:, own][:, :, own], self._sides[:, own]
+            values[rows], without[:, rows] = solved(*self._of(held))
+        grams, sides = self._of(own)
         squares = (
             self._squares
             - 2.0 * np.sum(without * sides, axis=1)
@@ -316,7 +313,7 @@ class Bank:
         return Tried(
             tuple(groups),
             values / scale,
-            np.where(values == 0.0, free, _jackknife(without - values)) / scale,
+            np.where(values == 0.0, free, jackknife(without - values)) / scale,
             np.maximum(squares, 0.0),
             len(self.target),
             self.body,
@@ -328,19 +325,26 @@ class Bank:
         weights: [k], for each parameter of the body.
         """
         own = self.own(groups)
-        values, without = self._solved(own)
+        values, without = solved(*self._of(own))
         shares = np.zeros(len(own))
         shares[: len(weights)] = weights / self.scale[own][: len(weights)]
-        return float(shares @ values), float(_jackknife((without - values) @ shares))
+        return float(shares @ values), float(jackknife((without - values) @ shares))
 
-    def _solved(self, own: Sequence[int]) -> tuple[Floats, Floats]:
-        """Return the solution for these columns [k], and with every group held out [f, k]."""
-        grams = self._grams[:, own][:, :, own]
-        sides = self._sides[:, own]
-        gram, side = grams.sum(axis=0), sides.sum(axis=0)
-        guard = 1e-10 * np.trace(gram) * np.eye(len(own))
-        without = np.linalg.solve(gram - grams + guard, (side - sides)[:, :, None])[:, :, 0]
-        return np.linalg.solve(gram + guard, side), without
+    def fitted_on(self, groups: Sequence[Group], rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Return values and deviations [k] of a hypothesis, without bounds, on some judged samples [n].
+
+        Infinite deviations where the samples are of fewer than two groups of strokes.
+        """
+        own = self.own(groups)
+        if len(np.unique(self._fold[rows])) < 2:
+            return np.zeros(len(own)), np.full(len(own), np.inf)
+        grams, sides, _ = products(self.columns[rows][:, own], self.target[rows], self._fold[rows])
+        values, without = solved(grams, sides)
+        return values / self.scale[own], jackknife(without - values) / self.scale[own]
+
+    def _of(self, own: Sequence[int]) -> tuple[Floats, Floats]:
+        """Return the products of these columns with each other [f, k, k] and with the target [f, k]."""
+        return self._grams[:, own][:, :, own], self._sides[:, own]
 
     def model_n(self, item: Tried) -> Floats:
         """Return the force of a hypothesis [n] in N, without the stated mass's."""
@@ -391,12 +395,3 @@ class Bank:
             item.noise_n = noise
             item.expected_n = float(np.hypot(noise, scatter))
             item.count = item.samples / correlated
-
-
-def _jackknife(differences: Floats) -> Floats:
-    """Return standard deviations [k] from solutions with each group left out, less the whole [f, k].
-
-    Neighbouring samples are not independent; strokes nearly are.
-    """
-    count = len(differences)
-    return np.asarray(np.sqrt((count - 1) / count * np.sum(differences**2, axis=0)))

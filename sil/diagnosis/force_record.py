@@ -188,7 +188,7 @@ def read_motion(path: str | Path) -> Recorded:
         # a stuck force is hidden by the pressures that are added to it
         own = next((record[name] for name in FORCES if name in record), signals[1])
         checked = np.vstack([signals[0], own, signals[2]])
-        sds = noise_of(signals[1]), noise_of(signals[0])
+        sds = noise_of(signals[1], record.time_s), noise_of(signals[0], record.time_s)
         for rows in _parts(record, findings):
             if (record.time_s[rows[-1]] - record.time_s[rows[0]]) / step < MARGIN:
                 continue

@@ -100,7 +100,9 @@ class ForceDiagnosis:
             found.append(self._cause(name, item, probability))
         if rest and UNNAMED not in self.leader.ids:
             found.append(self._unexplained())
-        return sorted(found, key=lambda cause: -cause.probability)
+        # what the verdict says comes first
+        last = UNNAMED if self.verdict in ("named", "ambiguous") else ""
+        return sorted(found, key=lambda cause: (cause.id == last, -cause.probability))
 
     def _cause(self, name: str, item: Tried, probability: float) -> Cause:
         group = item.groups[item.ids.index(name)]
@@ -148,12 +150,13 @@ class ForceDiagnosis:
                 "no function of speed, position or pressure describes it: dynamic (a flexible joint, a "
                 "time lag, vibration) or not repeated from stroke to stroke"
             )
+        besides = f"besides {item.name}, " if self.verdict in ("named", "ambiguous") else ""
         return Cause(
             UNNAMED,
             cause_class,
             SUREST,
             {"force_rms_n": Interval(value, low, high, self.record.units.get("N", "N"))},
-            f"a force of {value:.3g} N rms that no named cause explains: the held-out residual is "
+            f"{besides}a force of {value:.3g} N rms that no named cause explains: the held-out residual is "
             f"{self.over_noise(item):.3g} times the noise of {item.noise_n:.3g} N "
             f"({self.error(item):.1%} of the driving force); {where}",
         )

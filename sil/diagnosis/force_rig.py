@@ -27,7 +27,7 @@ from sil.diagnosis.force_fit import (
 from sil.diagnosis.force_gas import enclosed_gas
 from sil.diagnosis.force_record import Recorded, read_motion
 from sil.diagnosis.force_result import DESCRIBED, ForceDiagnosis
-from sil.diagnosis.force_terms import difference
+from sil.diagnosis.force_terms import CONDITIONS, difference
 from sil.diagnosis.verdict import UNNAMED, Verdict, decide, weigh
 from sil.fitting.floor import EXPLAINED
 
@@ -38,6 +38,8 @@ DELAY_LEAVES = 0.3
 """A delay is reported if it leaves less than this share of all that is not explained without it."""
 GIVING_BACK = ("position", "pressure_gain", "pressure times position")
 """Forces that do no work on the whole when a motion returns."""
+ALIKE = 2.0
+"""A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""
 CONTAINED = 0.5
 """A function contains a cause if less than this share of the cause differs from it."""
 LEAST_OF_EXCESS = 0.5
@@ -55,12 +57,12 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     """
     record = read_motion(path)
     bank, tried = _tried(record)
-    judged, verdict = _decided(tried)
+    judged, verdict = _decided(bank, tried)
     late_s = _late_within_a_step_s(bank, min(tried, key=lambda item: item.rms_n), verdict.leader)
     if late_s:
         record = _sooner(record, late_s)
         bank, tried = _tried(record)
-        judged, verdict = _decided(tried)
+        judged, verdict = _decided(bank, tried)
     plain = tried[0]
     singles = [item for item in tried if len(item.groups) == 1]
     smooth = bank.add_smooth()
@@ -84,13 +86,37 @@ def _tried(record: Recorded) -> tuple[Bank, list[Tried]]:
     return bank, tried
 
 
-def _decided(tried: Sequence[Tried]) -> tuple[list[Tried], Verdict[Tried]]:
+def _decided(bank: Bank, tried: Sequence[Tried]) -> tuple[list[Tried], Verdict[Tried]]:
     """Return the hypotheses that are physical, best first, and the verdict on them."""
     by_names = {frozenset(item.names): item for item in tried}
     judged = [item for item in tried if _acceptable(item, by_names)]
     judged.sort(key=lambda item: item.score)
-    weigh(judged)
-    return judged, decide(judged, len(tried[0].squares))
+    while True:
+        weigh(judged)
+        verdict = decide(judged, len(tried[0].squares))
+        if all(_has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):
+            return judged, verdict
+        judged.remove(verdict.leader)
+
+
+def _has_one_value(bank: Bank, item: Tried, group: Group) -> bool:
+    """Return whether a cause has the same value in both halves of the samples, by each condition.
+
+    A term that only makes up for one that is missing has another value where that acts more. Halves
+    that determine the value poorly contradict nothing.
+    """
+    if group.id == UNNAMED:
+        return True
+    k = bank.own(item.groups).index(group.columns[0])
+    for condition in CONDITIONS.values():
+        values = condition(bank.record.raw)[bank.record.judged]
+        middle = np.median(values)
+        for rows in (values < middle, values >= middle):
+            own, deviations = bank.fitted_on(item.groups, rows)
+            ratio, error = own[k] / item.values[k], 2.0 * deviations[k] / abs(item.values[k])
+            if ratio + error < 1.0 / ALIKE or ratio - error > ALIKE:
+                return False
+    return True
 
 
 def _late_within_a_step_s(bank: Bank, best: Tried, leader: Tried) -> float:
@@ -172,22 +198,28 @@ def _described(bank: Bank, leader: Tried, smooth: Sequence[Group]) -> tuple[str,
 def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
     """Return whether a cause comes out alike whatever else describes the residual.
 
-    Descriptions that contain the cause itself say nothing about it.
+    Descriptions that contain the cause are put in its place: one of another class must not leave less
+    than those of its own class do.
     """
     k = bank.own(leader.groups).index(group.columns[0])
     thin = slice(None, None, max(1, len(bank.target) // 5000))
     own = bank.columns[thin, group.columns[0]]
+    others = tuple(item for item in leader.groups if item is not group)
+    own_class, foreign = [leader], list[Tried]()
     for other in bank.groups:
         if other.name in {g.name for g in leader.groups}:
             continue
         described = bank.columns[thin][:, bank.own([other])]
         if difference(np.linalg.qr(described)[0], own) < CONTAINED:
+            alike = other.cause_class == group.cause_class
+            (own_class if alike else foreign).append(bank.attempt((*others, other)))
             continue
         item = bank.attempt((*leader.groups, other))
         ratio = item.values[k] / leader.values[k]
-        if not 0.5 < ratio < 2.0 or abs(item.values[k]) < 2.0 * item.deviations[k]:
+        if not 1.0 / ALIKE < ratio < ALIKE or abs(item.values[k]) < 2.0 * item.deviations[k]:
             return False
-    return True
+    best = min(own_class, key=lambda item: item.rms_n)
+    return all(gain_in_errors(item, best) < SURE for item in foreign)
 
 
 # --- what forbids a conclusion ----------------------------------------------------------------
@@ -202,15 +234,9 @@ def _doubts(bank: Bank, plain: Tried) -> list[str]:
         )
     # forces that a motion to and fro gives back must not be taken for friction
     giving_back = [g for g in bank.groups if g.name in GIVING_BACK]
-    (power, mass, backwards), (_power, _mass, still) = (
-        _friction(bank, groups) for groups in ([], giving_back)
-    )
-    if backwards and still and not delay:
-        found.append(
-            f"friction would drive the body ({-power:.3g} W) and the mass come out as {mass:.3g} kg: the "
-            "sign of the driving force or of the position is reversed (state scale = -1), or other "
-            "forces act"
-        )
+    now, without = (_friction(bank, groups) for groups in ([], giving_back))
+    if now and without and not delay:
+        found.append(now)
     if "offset_n" not in bank.body:
         found.append(f"offset_n: {bank.missing.pop('offset_n')}")
     if "stiffness" in bank.missing and "mass_kg" in bank.body and plain.value("mass_kg")[0] == 0.0:
@@ -225,16 +251,32 @@ def _doubts(bank: Bank, plain: Tried) -> list[str]:
     return found
 
 
-def _friction(bank: Bank, groups: Sequence[Group]) -> tuple[float, float, bool]:
-    """Return friction's power [W] and the mass [kg] without bounds, and whether they are negative."""
+def _friction(bank: Bank, groups: Sequence[Group]) -> str:
+    """Return what is not physical about friction and mass without bounds; empty if nothing is.
+
+    A reversed sign reverses both: with a mass that is surely positive, other forces act.
+    """
     speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
     size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
     (power, spread), (mass, mass_spread) = (
         bank.free_combination(np.array([weights.get(name, 0.0) for name in bank.body]), groups)
         for weights in (size, {"mass_kg": 1.0})
     )
-    negative = power < -2.0 * spread or (power < 2.0 * spread and mass < -2.0 * mass_spread)
-    return power, mass, negative
+    drives, negative = power < -2.0 * spread, mass < -2.0 * mass_spread
+    if not drives and not (negative and power < 2.0 * spread):
+        return ""
+    kg = bank.record.units.get("kg", "kg")
+    if drives and mass > 2.0 * mass_spread:
+        return (
+            f"friction would drive the body ({-power:.3g} W), with a mass of {mass:.3g} {kg}: other forces "
+            "act on it (pressure, gravity, a drive that is not recorded?), or the driving force is not all of it"
+        )
+    odd = [f"friction would drive the body ({-power:.3g} W)"] if drives else []
+    odd += [f"the mass would be {mass:.3g} {kg}"] if negative else []
+    return (
+        f"{' and '.join(odd)}: the sign of the driving force or of the position is reversed "
+        "(state scale = -1), or other forces act"
+    )
 
 
 def _delay_s(bank: Bank, plain: Tried) -> float:

@@ -112,21 +112,37 @@ FLEXIBLE = "fourth derivative of position"
 """First sign of a joint that gives way: D = M a - (m^2 / k) x'''' of a mass m on a spring k."""
 
 
-SMOOTH: dict[str, tuple[str, Callable[[Motion], Floats], bool]] = {
-    "speed": ("friction", lambda m: m.speed_m_s, False),
-    "position": ("mechanics", lambda m: m.position_m, False),
-    "position, against the motion": ("friction", lambda m: m.position_m, True),
-    "pressure": ("gauge", _pressure, False),
-    "pressure, against the motion": ("friction", _pressure, True),
+def _direction(motion: Motion) -> Floats:
+    return np.sign(motion.speed_m_s)
+
+
+Over = Callable[[Motion], Floats]
+
+SMOOTH: dict[str, tuple[str, Over, Over | None]] = {
+    "speed": ("friction", lambda m: m.speed_m_s, None),
+    "position": ("mechanics", lambda m: m.position_m, None),
+    "position, against the motion": ("friction", lambda m: m.position_m, _direction),
+    "pressure": ("gauge", _pressure, None),
+    "pressure, against the motion": ("friction", _pressure, _direction),
+    "position, in proportion to pressure": ("geometry", lambda m: m.position_m, _pressure),
 }
-"""Functions without a form: class, what they depend on, whether they turn with the motion."""
+"""Functions without a form: class, what they depend on, what they are multiplied by."""
 
 
-def hats(values: Floats, sign: Floats | None = None) -> Floats:
-    """Return hat functions over the quantiles of values [n]: [n, NODES]."""
+CONDITIONS: dict[str, Over] = {
+    "speed": lambda m: np.abs(m.speed_m_s),
+    "acceleration": lambda m: np.abs(m.acceleration_m_s2),
+    "position": lambda m: m.position_m,
+    "distance from the middle": lambda m: np.abs(centred(m)),
+}
+"""A cause that acts has one value, whatever these are."""
+
+
+def hats(values: Floats, factor: Floats | None = None) -> Floats:
+    """Return hat functions over the quantiles of values [n], times a factor [n]: [n, NODES]."""
     nodes = np.unique(np.quantile(values, np.linspace(0.005, 0.995, NODES)))
     table = np.column_stack([np.interp(values, nodes, row) for row in np.eye(len(nodes))])
-    return table if sign is None else table * sign[:, None]
+    return table if factor is None else table * factor[:, None]
 
 
 def difference(base: Floats, column: Floats) -> float:

@@ -15,6 +15,8 @@ from sil.campaign.campaign import Floats, Record
 from sil.fitting.observations import Noise, StrokeObservation, kind_of
 
 ORDER = 3
+DIFFERENCED = 7
+"""Samples of a sixth difference."""
 LOWEST = 0.7
 """Share of the differences that count, the smallest: the others may be motion ..."""
 LOWEST_RMS = 0.5565
@@ -29,15 +31,23 @@ CHANCE = 4.0
 their numbers."""
 
 
-def noise_of(values: Floats) -> float:
+def noise_of(values: Floats, time_s: Floats | None = None) -> float:
     """Return the standard deviation of the noise of a sample of values [n].
 
-    By sixth differences, which motion hardly changes, and by the quiet parts of the upper half of the
-    spectrum; not less than the rounding of the values. The quietest part alone would be too quiet by
-    chance, so every part counts that is as quiet as the second quietest, within what chance allows.
+    By sixth differences, divided by the instants time_s [n] where these are uneven, which motion hardly
+    changes, and by the quiet parts of the upper half of the spectrum; not less than the rounding of
+    the values. The quietest part alone would be too quiet by chance, so every part counts that is as
+    quiet as the second quietest, within what chance allows.
     """
-    differences = np.diff(values, 6)
-    robust = float(np.median(np.abs(differences))) / (0.6745 * comb(12, 6) ** 0.5)
+    instants = np.arange(float(len(values))) if time_s is None else time_s
+    apart = np.lib.stride_tricks.sliding_window_view(instants, DIFFERENCED) / np.ptp(instants)
+    apart = (apart[:, :, None] - apart[:, None, :]) * len(instants) + np.eye(DIFFERENCED)
+    weights = 1.0 / np.prod(apart, axis=2)
+    weights /= np.linalg.norm(weights, axis=1)[:, None]
+    differences = np.sum(
+        weights * np.lib.stride_tricks.sliding_window_view(values, DIFFERENCED), axis=1
+    )
+    robust = float(np.median(np.abs(differences))) / 0.6745
     window = np.hanning(len(values))
     power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
     bands = np.array_split(power[len(power) // 2 : -1], 8)

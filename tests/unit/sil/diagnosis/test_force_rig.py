@@ -14,7 +14,7 @@ from sil.cli import main
 from sil.diagnosis.force_checks import odd_channels
 from sil.diagnosis.force_fit import Bank, gain_in_errors
 from sil.diagnosis.force_record import read_motion, smoothed
-from sil.diagnosis.force_rig import diagnose_force
+from sil.diagnosis.force_rig import _has_one_value, diagnose_force
 from tests.bench._held_bodies import draw_held
 
 HEAD = """name = "bench"
@@ -244,6 +244,33 @@ def test_an_area_that_changes_is_unnamed(tmp_path) -> None:
     found = diagnose_force(folder)
     assert found.verdict == "unnamed"
     assert (found.causes()[0].id, found.causes()[0].cause_class) == ("unnamed", "geometry")
+
+
+def test_what_makes_up_for_a_changing_area_is_not_named(tmp_path) -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(8000) / 500.0
+    w = np.array([[3.8], [8.4]])
+    x = np.array([0.06, 0.02]) @ np.sin(w * t)
+    v = np.array([0.06, 0.02]) @ (w * np.cos(w * t))
+    a = np.array([0.06, 0.02]) @ (-(w**2) * np.sin(w * t))
+    # the pressure moves with the position now and then: a cubic spring and a constant area help much
+    p = 3e5 + 2e5 * np.sin(0.8 * t + 1.0) + 0.5e5 * np.sin(1.9 * t) + 2e6 * x
+    f = 12.0 * a + 25.0 * np.sign(v) + 80.0 * v + 3e-4 * p * (x / 0.08) ** 2
+    noise = rng.normal(0.0, 1.0, (2, len(t)))
+    folder = written(
+        tmp_path / "a", "", position_m=x + 2e-6 * noise[0], force_n=f + noise[1], pressure_pa=p
+    )
+    found = diagnose_force(folder)
+    assert found.verdict == "unnamed"
+    first, *others = found.causes()
+    assert (first.id, first.cause_class) == ("unnamed", "geometry")
+    assert "position, in proportion to pressure describes" in first.evidence
+    assert all(cause.probability < 0.5 for cause in others)
+    # halves of the samples contradict each other
+    (cubic,) = [item for item in found.singles if item.name == "stiffness_cubic"]
+    (gain,) = [item for item in found.singles if item.name == "pressure_gain"]
+    pair = found.bank.attempt((*cubic.groups, *gain.groups))
+    assert not _has_one_value(found.bank, pair, gain.groups[0])
 
 
 def test_a_motion_of_one_frequency_or_one_way_cannot_tell(tmp_path) -> None:

@@ -65,3 +65,11 @@ def test_motion_in_a_part_of_the_spectrum_is_not_taken_for_noise() -> None:
     t = np.arange(4000)
     vibration = 10.0 * np.sin(0.6 * np.pi * t)
     assert noise_of(vibration + rng.normal(0.0, 1.0, len(t))) == pytest.approx(1.0, rel=0.1)
+
+
+def test_uneven_instants_are_not_taken_for_noise() -> None:
+    rng = np.random.default_rng(6)
+    t = np.arange(4000) + rng.uniform(-0.3, 0.3, 4000)
+    values = 1000.0 * np.sin(0.03 * t) + rng.normal(0.0, 1.0, len(t))
+    assert noise_of(values, 0.01 * t) == pytest.approx(1.0, rel=0.1)
+    assert noise_of(values) > 2.0
