@@ -175,7 +175,7 @@ class Learned(IntoGear):
             self._prepare(now_ns, shift)
         if self._expected is None and shift.apart_rad_s is not None:
             self._drag = copysign(self._cold, -shift.apart_rad_s)
-        self._release.position(estimate.samples, 1e-9 * (now_ns - shift.start_ns))
+        self._release.position(estimate.samples, now_ns, shift.start_ns)
         return super().command(now_ns, estimate, shift)
 
     def _prepare(self, now_ns: int, shift: ShiftContext) -> None:
@@ -275,7 +275,8 @@ class Learned(IntoGear):
                 self._plain = True
                 return
             at_s = apart_s - self._expected.age_s
-            self._plain |= not self._release.speeds(at_s, apart_rad_s, before_rad_s)
+            if not self._release.speeds(at_s, apart_rad_s, before_rad_s):
+                self._plain = True
             if at_s < self._undisturbed_s:
                 self._follow(self._expected, apart_s, 1.0 - apart_rad_s / before_rad_s)
 

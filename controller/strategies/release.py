@@ -34,15 +34,19 @@ class Release:
         """Whether the speeds have begun to fall, but not yet agreed."""
         return bool(self._falling) and self.released_s is None
 
-    def position(self, samples: Sequence[Sample], spent_s: float) -> None:
-        """Take the samples of a step: how fast the stay is, and whether it has passed the teeth."""
+    def position(self, samples: Sequence[Sample], now_ns: int, start_ns: int) -> None:
+        """Take the samples of a step: how fast the stay is, and whether it has passed the teeth.
+
+        now_ns, start_ns: of this step, and of the push.
+        """
         for sample in samples:
             if self._before_m is not None and self._falling:
                 way_m = abs(sample.raw_m - self._before_m)
                 self.fastest_m_s = max(self.fastest_m_s, way_m / self._period_s)
                 over_m = abs(sample.raw_m) - self._arrived_m
                 if over_m > 0.0 and self.arrived_s is None and way_m > 0.0:
-                    self.arrived_s = spent_s - min(over_m / way_m, 1.0) * self._period_s
+                    back_s = min(over_m / way_m, 1.0) * self._period_s
+                    self.arrived_s = 1e-9 * (now_ns - start_ns) - back_s
             self._before_m = sample.raw_m
 
     def speeds(self, apart_s: float, apart_rad_s: float, before_rad_s: float) -> bool:

@@ -46,9 +46,9 @@ def test_the_arrival_is_between_two_samples_and_only_while_the_speeds_fall() -> 
     samples = [Sample(raw_m, raw_m, 0.0) for raw_m in (0.009, 0.0118)]
     still, made = falling(), falling(10.0)
     for each in (still, made):
-        each.position(samples, 0.15)
+        each.position(samples, 1_150_000_000, 1_000_000_000)
     assert still.arrived_s is None
     assert made.arrived_s == pytest.approx(0.15 - 0.002 * 1.0 / 2.8)
     assert made.fastest_m_s == pytest.approx(0.0028 / 0.002)
-    made.position([Sample(0.0121, 0.0121, 0.0)], 0.2)
+    made.position([Sample(0.0121, 0.0121, 0.0)], 1_200_000_000, 1_000_000_000)
     assert made.arrived_s == pytest.approx(0.15 - 0.002 * 1.0 / 2.8), "the first time counts"
