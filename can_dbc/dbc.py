@@ -176,7 +176,7 @@ def _reason(error: Exception) -> str:
         text = text[: _LONGEST_REASON - 3] + "..."
     column = getattr(error, "column", None)
     if column is not None:
-        return f"column {column}: {text.split(': ', 1)[-1]} is not DBC grammar"
+        return f"column {column}: {text.split(': ', 1)[-1]} is not DBC grammar; expected a DBC file"
     if isinstance(error, KeyError):
         return f"refers to {text}, which is not declared"
     if type(error).__module__.startswith("cantools"):

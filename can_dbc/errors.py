@@ -49,7 +49,13 @@ def nearest(name: str, known: Iterable[str], count: int = 3, cutoff: float = 0.6
 
 
 def unknown_name(name: str, known: Iterable[str]) -> str:
-    """Return 'unknown; expected one of ...' with the nearest names, or all if none is near."""
+    """Return 'unknown; expected one of ...' with the nearest names first.
+
+    Of more than ten names only the nearest are listed, followed by '...'; all if none is near.
+    """
     names = list(known)
-    expected = f"one of {', '.join(nearest(name, names) or names)}" if names else "none"
+    near = nearest(name, names)
+    others = [other for other in names if other not in near]
+    listed = [*near, "..."] if near and len(names) > 10 else near + others
+    expected = f"one of {', '.join(listed)}" if names else "none"
     return f"unknown; expected {expected}"

@@ -14,7 +14,7 @@ import tomllib
 import types
 import typing
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
@@ -26,6 +26,9 @@ Steps = tuple[str | int, ...]
 
 _DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){100}")
 """A key of more than a hundred parts; nothing else has that many words between dots."""
+
+_NOTHING = object()
+"""What no type accepts, so that msgspec says what the type asks for."""
 
 _IN_TOML = {
     "object": "table",
@@ -145,13 +148,13 @@ def _record_problem(value: dict[str, Any], structs: list[Any], steps: Steps) -> 
         tags = [str(struct.__struct_config__.tag) for struct in structs]
         if tag in value:
             return _wrong((*steps, tag), f"{_shown(value[tag])} is", str(value[tag]), tags)
-        return _missing((*steps, tag), tags)
+        return _missing((*steps, tag), Literal[*tags])
     found = _inside(value, field_types(structs[0]), steps, config.forbid_unknown_fields)
     if found:
         return found
     for field in _fields(structs[0]):
         if field.required and field.encode_name not in value:
-            return _missing((*steps, field.encode_name), _choices(field.type))
+            return _missing((*steps, field.encode_name), field.type)
     return None
 
 
@@ -166,24 +169,38 @@ def _own_problem(value: Any, kind: Any, steps: Steps) -> str | None:
             return one_line(f"{dotted(steps)}{joint}{what}" if steps else what, 400)
         if (choices := _choices(kind)) and what.startswith("Invalid"):
             return _wrong(steps, f"{_shown(value)} is", str(value), choices)
-        expected = what.removeprefix("Expected ").split(", got ")[0].replace("`", "")
-        if what == "Number out of range":
-            expected = "a smaller number"
-        for word, in_toml in _IN_TOML.items():
-            expected = re.sub(rf"\b{word}\b", in_toml, expected)
-        expected = expected.replace(" | ", " or ")
-        return (
-            f"{_location(steps)}: {_shown(value)} is wrong; expected {one_line(expected.strip())}"
-        )
+        return f"{_location(steps)}: {_shown(value)} is wrong; expected {_expected(what, kind)}"
     return None
+
+
+def _expected(what: str, kind: Any) -> str:
+    """Return what a type asks for, from msgspec's message; of tables also the keys."""
+    if what == "Number out of range":
+        return "a smaller number"
+    expected = what.removeprefix("Expected ").split(", got ")[0].replace("`", "")
+    for word, in_toml in _IN_TOML.items():
+        expected = re.sub(rf"\b{word}\b", in_toml, expected)
+    expected = expected.replace(" | ", " or ").strip()
+    if expected == "table" and (keys := ", ".join(field_types(kind))):
+        expected = f"a table with the keys {keys}"
+    if expected == "list" and (keys := ", ".join(field_types(child_type(kind, [], 0)))):
+        expected = f"a list of tables with the keys {keys}"
+    return one_line(expected)
 
 
 def _wrong(steps: Steps, what: str, name: str, known: Iterable[str]) -> str:
     return f"{_location(steps)}: {what} {unknown_name(name, known)}".replace(":  ", ": ")
 
 
-def _missing(steps: Steps, choices: list[str]) -> str:
-    expected = f"one of {', '.join(choices)}" if choices else "a value"
+def _missing(steps: Steps, kind: Any) -> str:
+    expected = "a value"
+    if choices := _choices(kind):
+        expected = f"one of {', '.join(choices)}"
+    else:
+        try:
+            msgspec.convert(_NOTHING, kind)
+        except msgspec.ValidationError as error:
+            expected = _expected(str(error), kind)
     return f"{_location(steps)}: missing; expected {expected}"
 
 

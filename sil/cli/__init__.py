@@ -10,6 +10,7 @@ import importlib
 import io
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -24,18 +25,18 @@ _STDOUT = "standard output"
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
-    "simulate": "the plant alone, under the conditions of a measurement campaign",
-    "diagnose": "measured against simulated: what is wrong, why, what it gains to know",
-    "watch": "many logs over time: parameters tracked, changes dated, drifts extrapolated",
-    "replay": "recorded inputs into the firmware alone; shifts of any truck's log",
-    "whatif": "a sweep over any values of model, firmware, sensor and bus",
-    "identify": "flow maps, friction, exponents or oil damper from a campaign",
-    "claims": "the thesis's claims: claimed, achieved, met or not",
-    "fmu": "plant or firmware as a co-simulation unit for other tools",
+    "simulate": "simulate the plant alone, under the conditions of a measurement campaign",
+    "diagnose": "compare measurements with the simulation and name the cause of a difference",
+    "watch": "track a truck's parameters over many logs; date changes, extrapolate drifts",
+    "replay": "feed a recorded log into the firmware and compare; shifts of a truck's log",
+    "whatif": "run a study: sweep any values of model, firmware, sensor and bus",
+    "identify": "identify flow maps, friction, exponents or oil damper from a campaign",
+    "claims": "check the thesis's claims: claimed, achieved, met or not",
+    "fmu": "export plant or firmware as a co-simulation unit for other tools",
     "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
-    "live": "a live bench in the browser, on this machine only",
+    "live": "open a live bench in the browser, on this machine only",
     "node": "run one participant of a scenario alone, on a bus",
-    "bus": "transports found here; load and worst-case response times",
+    "bus": "show transports found here, load and worst-case response times of a bus",
 }
 """Command name to one line of help; the command itself is the module of that name in this package,
 with a table `ARGUMENTS` and `run(arguments) -> exit code`."""
@@ -64,6 +65,8 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
+        for kind, expected in (("int", "a whole number"), ("float", "a number")):
+            message = re.sub(f"invalid {kind} value: (.*)", rf"\1; expected {expected}", message)
         raise _UsageError(f"{_shortened(message)}; see {self.prog} --help")
 
 

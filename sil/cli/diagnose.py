@@ -1,4 +1,7 @@
-"""Measured against simulated: what is wrong, why, an extended model, and what it gains."""
+"""Compare measured with simulated motion: name the cause of a difference, write an extended model.
+
+Exit 1: the verdict is not `consistent`.
+"""
 
 from __future__ import annotations
 
@@ -34,13 +37,14 @@ ARGUMENTS = (
         type=Path,
     ),
     argument(
-        "--model", "parameter set or model file questioned", default="nominal", metavar="MODEL"
+        "--model",
+        "parameter set or model file to compare with [nominal]",
+        default="nominal",
+        metavar="MODEL",
     ),
     EFFECTS,
-    argument(
-        "--map", "what the signals of another layout of a truck's log stand for (TOML)", "FILE"
-    ),
-    argument("--dbc", "the layout that --map names signals of", "FILE"),
+    argument("--map", "meaning of the signals of a truck's log with another layout (TOML)", "FILE"),
+    argument("--dbc", "database with the signals that --map names", "FILE"),
     *out("runs/CAMPAIGN-diagnosis-N"),
     argument("--workers", "processes (default 2)", "N", type=int, default=2),
     JSON,
@@ -54,6 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from plant.effects.user_file import load_effects
 
+    if arguments.workers < 1:
+        raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     if arguments.new is not None:
         return new_campaign(arguments)
     for item in arguments.campaign:
@@ -82,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)
     folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
-    workers = max(1, arguments.workers)
+    workers = arguments.workers
     with Progress(f"diagnosing {campaign.name}", "%", at_once=True) as progress:
         result = diagnose(campaign, parameters, workers=workers, progress=progress)
     if result.extended is not None:
@@ -157,7 +163,7 @@ def run_logs(arguments: argparse.Namespace) -> int:
 
     name = Path(arguments.campaign[0]).name.split(".")[0]
     logs, skipped = arguments.campaign, Counter[str]()
-    layout, workers = (arguments.map, arguments.dbc), max(1, arguments.workers)
+    layout, workers = (arguments.map, arguments.dbc), arguments.workers
     with Progress(f"diagnosing {name}", "%", at_once=True) as progress:
         found = diagnosed(logs, arguments.model, layout, skipped, progress, workers)
     folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)

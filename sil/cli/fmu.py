@@ -17,7 +17,9 @@ EXAMPLE = "example: opc4 fmu plant actuator.fmu --scenario lab_n_b --set valve.D
 ARGUMENTS = (
     argument("what", "side to export", choices=("plant", "controller")),
     argument("out", "file to write", "OUT.fmu", type=Path),
-    argument("--scenario", "whose values it takes [lab_n_b]", "SCENARIO", default="lab_n_b"),
+    argument(
+        "--scenario", "scenario whose values are used [lab_n_b]", "SCENARIO", default="lab_n_b"
+    ),
     argument("--force", "replace OUT.fmu"),
     *(MODEL, SETTINGS),
 )

@@ -1,8 +1,8 @@
 """Run one participant of a scenario alone, on a bus.
 
 In lockstep it joins a run begun with `opc4 run --external`; file or name of the scenario, and
-settings, must be those of the run.  With --realtime it runs by its own clock among any other nodes,
-ours or foreign, which may come and go; Ctrl-C ends it.  The channel is local:NAME (printed by
+settings, must be those of the run.  With --realtime it runs by the wall clock with any other nodes,
+which may join and leave; Ctrl-C ends it.  The channel is local:NAME (printed by
 `opc4 run`) or a CAN interface.
 """
 
@@ -48,7 +48,7 @@ ARGUMENTS = (
     argument("--force", "replace the records in DIR"),
     argument(
         "--realtime",
-        "run freely by the own clock, with any nodes on the bus, without a run's coordinator",
+        "run by the wall clock with any nodes on the bus, without the coordinator of a run",
     ),
     argument("--duration", "with --realtime: end after this time [Ctrl-C]", "SECONDS", type=float),
     *(MODEL, SETTINGS),

@@ -1,11 +1,12 @@
-"""Put the inputs of a recorded log into the firmware alone, and compare its answers.
+"""Feed the inputs of a recorded log into the firmware alone, and compare its answers.
 
 A truck's log, without commands of our control unit: each gear shift in it (J1939: ETC1 and ETC2, or by
---map) by our firmware and plant in closed loop, next to the recorded one.
+--map) is simulated with our firmware and plant and compared with the recorded one.
 
 LOG is a candump, ASC, BLF, TRC, MF4 or CSV log, packed or not. The firmware has the settings of the
 run whose result.json is in the folder of LOG, else its defaults with the periods that the log shows.
-Exit 1: something differs; of a truck's log: ours does not reach a gear. Exit 2: nothing was engaged in the log, or it cannot be used.
+Exit 1: something differs; for a truck's log: our firmware does not reach a gear. Exit 2: the log has no
+valve command or shift, or it cannot be used.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ example:
 
 options of --options FILE, all optional:
   ignore = ["Etc1.*", "ControllerStatus.estimate_m"]     # signals that are not compared
-  time_s = 0.01                                          # a value may come this much sooner or later
-  [tolerance]                                            # largest difference that is none, SI units
+  time_s = 0.01                                          # a value may come this much earlier or later
+  [tolerance]                                            # differences up to this are ignored, SI units
   "ControllerStatus.estimate_m" = 1e-5
   [edges]
   window_s = 0.2                                         # an edge moved farther is another edge
@@ -60,18 +61,18 @@ ARGUMENTS = (
     ),
     SETTINGS,
     argument("--options", "tolerances and ignore list (TOML)", "FILE"),
-    argument("--dbc", "where the log's identifiers are others", "FILE"),
-    argument(
-        "--map", "what the signals of a truck's log stand for (TOML; see --print-map)", "FILE"
-    ),
+    argument("--dbc", "database of a log with other identifiers", "FILE"),
+    argument("--map", "meaning of the signals of a truck's log (TOML; see --print-map)", "FILE"),
     argument(
         "--print-map", "print the mapping for J1939, to copy and change", action=_PrintMap, nargs=0
     ),
     argument("--strategy", "short for --set controller.strategy=NAME", "NAME"),
     argument(
-        "--run", "scenario or result.json that the log is of [in the folder of LOG]", "SCENARIO"
+        "--run",
+        "scenario or result.json of the run that wrote the log [in the folder of LOG]",
+        "SCENARIO",
     ),
-    argument("--plant", "put the recorded commands into the plant as well"),
+    argument("--plant", "feed the recorded commands into the plant as well"),
     argument("--closed-loop", "let the plant answer from the first command that differs"),
     argument("--against", "compare with the firmware of another commit instead", "REV"),
     argument("--summary", "list the gear shifts of any truck's log (J1939)"),

@@ -43,8 +43,8 @@ ARGUMENTS = (
     ),
     argument(
         "--realtime",
-        "by the wall clock: on a bus every node runs freely by its own clock and only messages of "
-        "the DBC are sent; with --speed, and in one process, a lockstep run is paced",
+        "run by the wall clock: on a bus each node has its own clock and only messages of the DBC "
+        "are sent; with --speed, or in one process, the lockstep run is slowed down to it",
     ),
     argument(
         "--speed",

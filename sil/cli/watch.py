@@ -1,8 +1,8 @@
-"""Watch trucks over months: each shift judged as it comes, changes dated, drifts extrapolated.
+"""Watch trucks over months: track parameters shift by shift, date changes, extrapolate drifts.
 
-A truck is a folder: under DIR the first folder below it, of a LOG the folder that it is in. DIR/OUT
-holds the store; called again, with more logs or after it was killed, it takes the logs that the store
-does not have. A CSV file that begins with time_s,NAME,NAME_sd holds per-shift estimates of any names.
+A truck is a folder: under DIR the first folder below it, of a LOG the folder that it is in. --out
+holds the results so far: called again, with more logs or after it was killed, it reads the logs that these
+do not cover. A CSV file that begins with time_s,NAME,NAME_sd holds per-shift estimates of any names.
 Exit 1: a change or a drift was found.
 """
 
@@ -33,9 +33,11 @@ ARGUMENTS = (
         default=[],
     ),
     argument("--model", "parameter set or model file", default="nominal", metavar="MODEL"),
-    argument("--map", "what the signals of another layout stand for (TOML)", "FILE"),
-    argument("--dbc", "the layout that --map names signals of", "FILE"),
-    argument("--out", "folder of store and page [runs/NAME-watch]", "DIR", type=Path),
+    argument("--map", "meaning of the signals of logs with another layout (TOML)", "FILE"),
+    argument("--dbc", "database with the signals that --map names", "FILE"),
+    argument(
+        "--out", "folder for the results, made if missing [runs/NAME-watch]", "DIR", type=Path
+    ),
     JSON,
 )
 

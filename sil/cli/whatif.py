@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{name:24} {load_study(str(path)).study.description}")
         return 0
     if arguments.study is None:
-        raise InputError("whatif: no study; expected a study file, or --list")
+        raise InputError("no STUDY; expected a file or a shipped name, see opc4 whatif --list")
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     study = load_study(arguments.study, arguments.effects)

@@ -63,7 +63,7 @@ class Pacer:
     ) -> None:
         """Set `factor`, simulated seconds per wall second.  Raises InputError unless it is positive."""
         if not 1e-6 <= factor <= 1e6:
-            raise InputError(f"real-time factor {factor!r}: expected 1e-6 to 1e6")
+            raise InputError(f"speed: {factor!r}; expected 1e-6 to 1e6 times real time")
         self.factor = factor
         self._clock = clock
         self._sleep = sleep

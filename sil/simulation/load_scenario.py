@@ -92,12 +92,14 @@ def from_table(
 
         files = [str(folder / file) for file in scenario.effects] + list(effects)
         raw["effects"] = list(dict.fromkeys(load_effects(file) for file in files))
-    parameters = _parameters(raw.get("model_set", scenario.model_set), source)
-    if settings or seed is not None:
+    where = f"{source}: model_set" if model is None else "--model"
+    parameters = _parameters(raw.get("model_set", scenario.model_set), where)
+    if seed is not None:
+        raw["seed"] = seed
+        scenario = _checked(raw, "--seed")
+    if settings:
         for text in settings:
             _apply(raw, text, parameters)
-        if seed is not None:
-            raw["seed"] = seed
         typed_toml.refuse_not_finite(raw, "--set")
         scenario = _checked(raw, "--set")
         if scenario.firmware:
@@ -106,7 +108,7 @@ def from_table(
             raw["memory"] = embedded(scenario.memory, Path(), "--set")
     scenario = typed_toml.convert(raw, Scenario, source)
     check_consistent(scenario, source)
-    return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
+    return Loaded(scenario, _overridden(parameters, scenario.model, source, settings), source)
 
 
 def find(where: str) -> Path:
@@ -119,7 +121,8 @@ def find(where: str) -> Path:
     if where in known:
         return known[where]
     if "/" in where or where.endswith((".toml", ".json")):
-        raise InputError(f"{typed_toml.one_line(where)}: file: not found; expected a scenario")
+        what = "a folder" if path.is_dir() else "not found"
+        raise InputError(f"{typed_toml.one_line(where)}: file: {what}; expected a scenario file")
     raise InputError(f"{typed_toml.one_line(where)}: scenario: {unknown_name(where, known)}")
 
 
@@ -177,11 +180,11 @@ def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[
             yield prefix + key, value
 
 
-def _parameters(model_set: str, source: str) -> ParameterSet:
+def _parameters(model_set: str, where: str) -> ParameterSet:
     try:
         return _nominal() if model_set == "nominal" else _load(model_set)
     except InputError as error:
-        raise InputError(f"{source}: model_set: {typed_toml.one_line(str(error))}") from None
+        raise InputError(f"{where}: {typed_toml.one_line(str(error))}") from None
 
 
 def _load(model_set: str) -> ParameterSet:
@@ -197,7 +200,10 @@ def _nominal() -> ParameterSet:
 
 
 def _overridden(
-    parameters: ParameterSet, changes: Mapping[str, float | list[float]], source: str
+    parameters: ParameterSet,
+    changes: Mapping[str, float | list[float]],
+    source: str,
+    settings: Sequence[str],
 ) -> ParameterSet:
     try:
         if any(path.startswith("effect.") for path in changes):
@@ -206,7 +212,9 @@ def _overridden(
             return overridden(parameters, changes)
         return parameters.override(changes)
     except InputError as error:
-        raise InputError(f"{source}: model: {error}") from None
+        paths = [overrides.parse_setting(text)[0].removeprefix("model.") for text in settings]
+        is_set = any(f" {path}: " in str(error) for path in paths)
+        raise InputError(f"{'--set' if is_set else f'{source}: model'}: {error}") from None
 
 
 def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:

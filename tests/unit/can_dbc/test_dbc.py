@@ -310,8 +310,11 @@ WORD_BY_WORD = (
         changed("VAL_ 5 Left", "VAL_ 6 Left"),
         "16: not a DBC that can be understood (ValueError: unused VAL_ entries in DBC: VAL_ 6 Left)",
     ),
-    (GOOD + "nonsense\n", '17: column 1: ">>!<<nonsense" is not DBC grammar'),
-    (GOOD + "what: is: this\n", '17: column 1: ">>!<<what: is: this" is not DBC grammar'),
+    (GOOD + "nonsense\n", '17: column 1: ">>!<<nonsense" is not DBC grammar; expected a DBC file'),
+    (
+        GOOD + "what: is: this\n",
+        '17: column 1: ">>!<<what: is: this" is not DBC grammar; expected a DBC file',
+    ),
     (changed("(1,0) [0|0]", "(1e401,0) [0|0]"), "9: number 1e401 has no use"),
     (changed("(1,0) [0|0]", f"(1e{60 * '9'},0) [0|0]"), f"9: number 1e{38 * '9'} has no use"),
     (changed("BO_ 5 20", f'BO_ 5 "1e{60 * "9"}"'), f'15: number "1e{37 * "9"} has no use'),

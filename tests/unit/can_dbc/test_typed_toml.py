@@ -53,7 +53,7 @@ class File(Struct, forbid_unknown_fields=True):
         ({"name": 1}, "name: 1 is wrong; expected text"),
         ({"fault": [{"kind": "los"}]}, "fault[0].kind: 'los' is unknown; expected one of loss"),
         ({"fault": [{}]}, "fault[0].kind: missing; expected one of loss, delay"),
-        ({"fault": [{"kind": "loss"}]}, "fault[0].at_s: missing; expected a value"),
+        ({"fault": [{"kind": "loss"}]}, "fault[0].at_s: missing; expected number"),
         (
             {"fault": [{"kind": "loss", "at_s": -1.0}]},
             "fault[0].at_s: -1.0 is wrong; expected number >= 0.0",
@@ -67,8 +67,12 @@ class File(Struct, forbid_unknown_fields=True):
             "fault[0].gear: 'bakward' is unknown; expected one of backward",
         ),
         ({"checked": {"low": 1}}, "checked.low: 1 is wrong; expected another"),
+        (
+            {"fault": 3},
+            "fault: 3 is wrong; expected a list of tables with the keys kind, at_s, gear",
+        ),
         ({"checked": {"low": 2}}, "checked: two; expected another"),
-        ({"checked": 3}, "checked: 3 is wrong; expected table"),
+        ({"checked": 3}, "checked: 3 is wrong; expected a table with the keys low"),
         ({"pair": [1.0, 2]}, "pair[1]: 2 is wrong; expected text"),
         ({"pair": [1.0]}, "pair: [1.0] is wrong; expected list of length 2"),
         ({"limits": {"c": 1.0}}, "limits.c: unknown; expected one of a, b"),
@@ -76,7 +80,7 @@ class File(Struct, forbid_unknown_fields=True):
         ({"rate": 300000}, "rate: 300000 is unknown; expected one of"),
         ({"size": 10**400}, f"size: 1{'0' * 56}... is wrong; expected a smaller number"),
         ({"other": {"unknown": 1, "size": "x"}}, "other.size: 'x' is wrong; expected whole number"),
-        ([], "top level: [] is wrong; expected table"),
+        ([], "top level: [] is wrong; expected a table with the keys name, fault, checked, pair"),
     ],
 )
 def test_one_line_for_what_is_wrong(raw: Any, message: str) -> None:

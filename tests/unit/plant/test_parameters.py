@@ -64,10 +64,10 @@ def test_what_no_actuator_has_is_refused(tmp_path, path: str, value: float) -> N
             '{ value = "a", unit = "s", source = "x" }',
             "value: 'a' is wrong; expected number or list",
         ),
-        ('{ value = 0.01, unit = "s" }', "source: missing; expected a value"),
+        ('{ value = 0.01, unit = "s" }', "source: missing; expected text"),
         ('{ value = 0.01, unit = "s", source = " " }', "source: ' ' is wrong; expected a text"),
         ('{ value = 0.01, unit = "ms", source = "x" }', "unit 'ms'; expected 's'"),
-        ("3", "3 is wrong; expected table"),
+        ("3", "3 is wrong; expected a table with the keys value, unit, source"),
     ],
 )
 def test_wrong_entries_of_a_model_file_are_named(tmp_path: Path, entry: str, message: str) -> None:

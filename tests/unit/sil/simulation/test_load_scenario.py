@@ -63,6 +63,7 @@ def test_a_list_of_an_expanded_scenario_is_changed_by_index(tmp_path: Path) -> N
     [
         (GOOD + "[expect.metrics]\nlag={}", "expect.metrics.lag: unknown; expected one of"),
         (GOOD + "[plant]\nmounted=1", "plant.mounted: 1 is wrong; expected true or false"),
+        ("", "s.toml: name: missing; expected text"),
         ("nam = 1\n" + GOOD, "s.toml: nam: unknown; expected one of name"),
         (GOOD.replace('"backward"', '"backwards"'), "request[0].gear: 'backwards' is unknown; "),
         (GOOD.replace("example", "a\\u0001b"), "name: 'a\\\\x01b'; expected printable characters"),
@@ -71,7 +72,7 @@ def test_a_list_of_an_expanded_scenario_is_changed_by_index(tmp_path: Path) -> N
         (GOOD.replace("0.5", "inf"), "s.toml: duration_s: inf is wrong; expected a finite number"),
         (GOOD.replace("0.5", "'x'"), "s.toml: duration_s: 'x' is wrong; expected number"),
         (GOOD.replace("0.5", "0.1"), "request[0].at_s: 0.1; expected before the end, 0.1 s"),
-        (GOOD.replace("at_s = 0.1\n", ""), "request[0].at_s: missing; expected a value"),
+        (GOOD.replace("at_s = 0.1\n", ""), "request[0].at_s: missing; expected number"),
         (
             GOOD + "[expect]\nmetrics = { shift_time_s = { min = 2, max = 1 } }\n",
             "expect.metrics.shift_time_s: from 2.0 to 1.0; expected the smallest value first",
@@ -189,7 +190,8 @@ def test_sensor_period_sets_the_firmwares_too(tmp_path: Path) -> None:
             "controller.filter=False",
             "--set controller.filter: False; expected true or false, as TOML",
         ),
-        ("controller.filter=3", "--set: controller.filter: 3 is wrong; expected table"),
+        ("controller.filter=3", "3 is wrong; expected a table with the keys enabled, order, fc_hz"),
+        ("valve.D_fall=-1", "--set: nominal: valve.D_fall: -1; expected 0 to 10 s"),
         ("controller.period_s=nan", "--set: controller.period_s: nan is wrong"),
         ("request[3].gear=neutral", "no such value"),
         ("name.x=1", "no such value"),
@@ -217,7 +219,8 @@ def test_model_file_and_seed(tmp_path: Path) -> None:
     assert loaded.parameters.value("valve.D_fall") == 0.01
     assert loaded.scenario.seed == 9
     assert "no such parameter set" in refused(tmp_path, GOOD, model="nominl")
-    assert "seed" in refused(tmp_path, GOOD, seed=-1)
+    assert refused(tmp_path, GOOD, seed=-1).startswith("--seed: seed: -1 is wrong")
+    assert refused(tmp_path, GOOD, model="no").startswith("--model: model 'no': no such")
     near = load(tmp_path, 'model_set = "m.toml"\n' + GOOD)
     assert near.parameters.value("valve.D_fall") == 0.01
 
