@@ -222,7 +222,7 @@ def parse_cells(path: Path, body: Sequence[str], width: int, first: int = 2) -> 
                 value = float(cell)
             except ValueError:
                 raise InputError(
-                    f"{path}: line {number}: {cell.strip()[:30]!r} is not a number"
+                    f"{path}: line {number}: {cell.strip()[:30]!r} is not a number; expected one"
                 ) from None
             if not math.isfinite(value):
                 raise InputError(

@@ -415,7 +415,7 @@
       const more = Object.entries(rest).map(([name, value]) => `${name} ${value}`).join(", ");
       const remove = document.createElement("button");
       remove.type = "button";
-      remove.textContent = "mend";
+      remove.textContent = "remove";
       remove.setAttribute("aria-label", `remove ${kind}`);
       remove.addEventListener("click", () => {
         state.faults = { ...state.faults, [table]: list.filter((_, k) => k !== i) };

@@ -91,7 +91,7 @@ def draw(figure: Figure) -> Drawing:
     overview = next((s.overview for s in figure.stacks if s.overview is not None), None)
     if overview is not None:
         heights.insert(0, overview.height / PIXELS_PER_INCH)
-    head = (0.32 if figure.title else 0.08) + (0.2 if figure.subtitle else 0.0)
+    head = (0.32 if figure.title else 0.08) + (0.2 if figure.subtitle or overview else 0.0)
     width = sum(column.width for column in columns) + 1.2
     height = head + sum(heights) + 0.16 * len(heights) + 0.5
     made = Drawing(figsize=(width, height), facecolor=colour_of("paper"), layout="constrained")
