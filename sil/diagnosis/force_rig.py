@@ -179,6 +179,8 @@ def _acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
         without = by_names[frozenset(item.names) - {name}]
         if gain_in_errors(item, without) < SURE:
             return False
+        if without.groups and without.rms_n <= EXPLAINED * without.noise_n:
+            return False  # nothing is missing: the cause corrects the form of the other one
         if item.whole.excess > (1.0 - LEAST_OF_EXCESS) * max(without.whole.excess, 0.0):
             return False
     return True

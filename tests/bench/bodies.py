@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from math import cos, sin
 from pathlib import Path
 
 import numpy as np
@@ -50,27 +51,52 @@ file = "a.csv"
 """
 
 
+def reference(
+    rng: np.random.Generator, span_s: float, travel_m: float, w: np.ndarray
+) -> Callable[[float], tuple[float, float, float]]:
+    """Return a motion as position, speed and acceleration by time.
+
+    Sines of the frequencies w [3] in rad/s, a sweep over two of them, or moves with the least jerk and
+    a rest after each.
+    """
+    sizes = travel_m * np.array([0.6, 0.3, 0.15]) * rng.uniform(0.5, 1.0, 3)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 3)
+    levels = travel_m * rng.uniform(-0.8, 0.8, int(span_s * w[1]) + 2)
+    lasting_s, grows = 2.0 * np.pi / w[1], (w[1] - w[0]) / span_s
+
+    def sines(s: float) -> tuple[float, float, float]:
+        a, b = sizes * np.sin(w * s + phases), sizes * w * np.cos(w * s + phases)
+        return float(a.sum()), float(b.sum()), float(-(w**2) @ a)
+
+    def sweep(s: float) -> tuple[float, float, float]:
+        angle, rate = w[0] * s + 0.5 * grows * s**2, w[0] + grows * s
+        x, v = 0.7 * travel_m * sin(angle), 0.7 * travel_m * cos(angle)
+        return x, v * rate, v * grows - x * rate**2
+
+    def moves(s: float) -> tuple[float, float, float]:
+        number, into = divmod(max(s, 0.0), lasting_s)
+        low, high = levels[int(number) : int(number) + 2]
+        u, d = min(1.3 * into / lasting_s, 1.0), 1.3 / lasting_s
+        x = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        v, a = 30.0 * (u * (1.0 - u)) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+        return low + (high - low) * x, (high - low) * v * d, (high - low) * a * d**2
+
+    return (sines, sweep, moves)[rng.integers(3)]
+
+
 def draw(folder: Path, kind: str, seed: int) -> dict[str, float]:
     """Write a campaign of one body of this kind; return what is true of it."""
     rng = np.random.default_rng(seed)
-    rate = float(rng.choice([250.0, 500.0, 1000.0]))
-    t = np.arange(int(rng.uniform(12.0, 25.0) * rate)) / rate
+    rate = float(rng.choice([100.0, 250.0, 500.0, 1000.0, 2000.0]))
+    t = np.arange(int(rng.uniform(12.0, 25.0) * max(1.0, 250.0 / rate) * rate)) / rate
+    if rng.random() < 0.3:  # a clock that is not even
+        t[1:] += rng.uniform(-0.3, 0.3, len(t) - 1) / rate
     mass = 10.0 ** rng.uniform(-0.3, 2.0)
     travel = 10.0 ** rng.uniform(-2.0, -0.5)
     w = rng.uniform(2.0, 8.0) * np.array([1.0, 2.3, 3.9])
-    sizes = travel * np.array([0.6, 0.3, 0.15]) * rng.uniform(0.5, 1.0, 3)
-    phases = rng.uniform(0.0, 2.0 * np.pi, 3)
-
-    def reference(s: float) -> tuple[float, float, float]:
-        angle = w * s + phases
-        return (
-            float(sizes @ np.sin(angle)),
-            float((sizes * w) @ np.cos(angle)),
-            float(-(sizes * w**2) @ np.sin(angle)),
-        )
-
-    fast = float(np.sum(sizes * w))
-    inertia = mass * float(np.sum(sizes * w**2))
+    path = reference(rng, t[-1], travel, w)
+    _, fast, fastest = np.max(np.abs([path(s) for s in np.linspace(0.0, t[-1], 4000)]), axis=0)
+    inertia = mass * fastest
     coulomb = inertia * rng.uniform(0.05, 0.8)
     viscous = inertia * rng.uniform(0.05, 0.8) / fast
     offset = inertia * rng.uniform(-0.3, 0.3)
@@ -103,8 +129,9 @@ def draw(folder: Path, kind: str, seed: int) -> dict[str, float]:
     joint = load * (rng.uniform(2.0, 5.0) * w[2]) ** 2
 
     def drive(s: float, x: float, v: float) -> float:
-        rx, rv, ra = reference(s)
-        return mass * ra + stiff * (rx - x) + 2.0 * mass * 40.0 * (rv - v) + coulomb * np.sign(rv)
+        rx, rv, ra = path(s)
+        force = mass * ra + stiff * (rx - x) + 2.0 * mass * 40.0 * (rv - v) + coulomb * np.sign(rv)
+        return float(force)
 
     def rates(s: float, y: np.ndarray) -> list[float]:
         x, v, x2, v2 = y
@@ -117,7 +144,7 @@ def draw(folder: Path, kind: str, seed: int) -> dict[str, float]:
             pull / load if load else 0.0,
         ]
 
-    x0, v0, _ = reference(0.0)
+    x0, v0, _ = path(0.0)
     y = solve_ivp(
         rates, (0.0, t[-1]), [x0, v0, x0, v0], "LSODA", t, rtol=1e-8, atol=1e-10, max_step=0.01
     ).y

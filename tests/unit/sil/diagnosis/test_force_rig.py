@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,55 +12,9 @@ from sil.cli import main
 from sil.diagnosis.force_checks import odd_channels
 from sil.diagnosis.force_fit import Bank, gain_in_errors
 from sil.diagnosis.force_record import read_motion, smoothed
-from sil.diagnosis.force_rig import _has_one_value, diagnose_force
+from sil.diagnosis.force_rig import _acceptable, _has_one_value, diagnose_force
 from tests.bench._held_bodies import draw_held
-
-HEAD = """name = "bench"
-rig = "force"
-sample_rate_hz = 500.0
-[columns]
-position_m = { column = "x_mm", scale = 0.001 }
-force_n = "f"
-"""
-
-
-def rig(
-    folder: Path,
-    *,
-    faster_n_s_m: float = 0.0,
-    stribeck_n: float = 0.0,
-    per_pa: float = 0.0,
-    head: str = HEAD,
-    seed: int = 3,
-) -> Path:
-    """A 20 kg body on two sines; extra friction by direction, Stribeck fall, or pressure."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(10000) / 500.0
-    x = 0.1 * np.sin(2.1 * t) + 0.04 * np.sin(5.7 * t)
-    v = 0.21 * np.cos(2.1 * t) + 0.228 * np.cos(5.7 * t)
-    a = -0.441 * np.sin(2.1 * t) - 1.2996 * np.sin(5.7 * t)
-    p = 3e5 + 2e5 * np.sign(np.sin(0.5 * t))
-    s = np.sign(v)
-    f = 20.0 * a + 15.0 * s + 80.0 * v + 2.0
-    f += faster_n_s_m * np.abs(v) + stribeck_n * s * np.exp(-np.abs(v) / 0.08) + per_pa * p * s
-    f += rng.normal(0.0, 1.0, len(t))
-    folder.mkdir()
-    table = np.column_stack([t, 1e3 * x + rng.normal(0.0, 1e-3, len(t)), f, p])
-    np.savetxt(
-        folder / "a.csv", table, "%.6f", ",", header="time_s,x_mm,f,pressure_pa", comments=""
-    )
-    (folder / "campaign.toml").write_text(head + '[[stroke]]\nfile = "a.csv"\n', encoding="utf-8")
-    return folder
-
-
-def changed(folder: Path, column: str, change: Callable[[np.ndarray], np.ndarray]) -> Path:
-    """Change one column of a rig's record."""
-    file = folder / "a.csv"
-    names = file.read_text(encoding="utf-8").splitlines()[0].split(",")
-    table = np.loadtxt(file, delimiter=",", skiprows=1)
-    table[:, names.index(column)] = change(table[:, names.index(column)])
-    np.savetxt(file, table, "%.6f", ",", header=",".join(names), comments="")
-    return folder
+from tests.unit.sil.diagnosis.made_rig import HEAD, changed, rig, written
 
 
 def test_filtered_derivatives_are_those_of_one_filter() -> None:
@@ -215,18 +167,6 @@ def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:
     assert (tmp_path / "out" / "diagnosis.json").exists()
 
 
-def written(folder: Path, body: str, **columns: np.ndarray) -> Path:
-    """A campaign of columns at 500 Hz with this [body]."""
-    folder.mkdir()
-    t = np.arange(len(columns["position_m"])) / 500.0
-    table = np.column_stack([t, *columns.values()])
-    header = ",".join(["time_s", *columns])
-    np.savetxt(folder / "a.csv", table, "%.9g", ",", header=header, comments="")
-    text = f'name = "a"\nrig = "force"\nsample_rate_hz = 500.0\n[body]\n{body}\n'
-    (folder / "campaign.toml").write_text(f'{text}[[stroke]]\nfile = "a.csv"\n', encoding="utf-8")
-    return folder
-
-
 def test_an_area_that_changes_is_unnamed(tmp_path) -> None:
     rng = np.random.default_rng(2)
     t = np.arange(10000) / 500.0
@@ -271,6 +211,29 @@ def test_what_makes_up_for_a_changing_area_is_not_named(tmp_path) -> None:
     (gain,) = [item for item in found.singles if item.name == "pressure_gain"]
     pair = found.bank.attempt((*cubic.groups, *gain.groups))
     assert not _has_one_value(found.bank, pair, gain.groups[0])
+
+
+def test_a_second_cause_is_not_claimed_where_one_explains_all(tmp_path) -> None:
+    found = diagnose_force(rig(tmp_path / "a", stribeck_n=25.0))
+    one, plain, bank = found.leader, found.plain, found.bank
+    (other,) = [item for item in found.singles if item.name == "friction_asymmetry"]
+    both = bank.attempt((*one.groups, *other.groups))
+    both.noise_n, both.count = one.noise_n, one.count
+    both.deviations = 0.0 * both.deviations
+    both.squares = 0.9 * one.squares
+    by_names = {frozenset(item.names): item for item in (plain, one, other, both)}
+    assert one.name == "stribeck" and not _acceptable(both, by_names)
+    one.squares, both.squares = 9.0 * one.squares, one.squares
+    assert _acceptable(both, by_names)
+
+
+def test_a_friction_that_drives_a_positive_mass_is_no_reversed_sign(tmp_path) -> None:
+    folder = rig(tmp_path / "a", faster_n_s_m=0.0)
+    x = np.loadtxt(folder / "a.csv", delimiter=",", skiprows=1)[:, 1] * 1e-3
+    v = np.gradient(x, 1.0 / 500.0)
+    (doubt, *_) = diagnose_force(changed(folder, "f", lambda f: f - 250.0 * v)).doubts
+    assert "friction would drive the body" in doubt and "with a mass of" in doubt
+    assert "reversed" not in doubt
 
 
 def test_a_motion_of_one_frequency_or_one_way_cannot_tell(tmp_path) -> None:
