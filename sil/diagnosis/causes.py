@@ -121,7 +121,7 @@ def sentence(
         where = f" ({candidate.variant})" if candidate.variant else ""
         what = f"{candidate.effect.what}{where}: {main} {parameters[main]}"
     text = (
-        f"{what}; it gains {verdict.gains[candidate.id]:.0f} in log evidence, and on held-out "
+        f"{what}; it gains {verdict.gains[candidate.id]:.4g} in log evidence, and on held-out "
         f"strokes the standardised residual falls from {verdict.healthy.misfit.rms:.3g} to "
         f"{verdict.leader.misfit.rms:.3g}"
     )

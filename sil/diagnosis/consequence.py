@@ -17,7 +17,7 @@ SCENARIOS = ("lab_n_b", "lab_b_n", "lab_n_f", "lab_f_n", "oil_damper", "full_shi
 
 @dataclass(frozen=True)
 class Change:
-    """One shift of a scenario, with the questioned model and with the extended one.
+    """One shift of a scenario, with the given model and with the extended one.
 
     shift_time_s, impact_speed_m_s: (before, after), None where it never arrived or was never
     confirmed.
@@ -37,8 +37,8 @@ class Consequence:
     refused: str = ""
 
 
-def consequence(questioned: str, extended: Path) -> Consequence:
-    """Run the shipped shifts with the questioned model and with the extended one.
+def consequence(given: str, extended: Path) -> Consequence:
+    """Run the shipped shifts with the given model and with the extended one.
 
     What belongs to instruments or to single strokes cannot be applied to a run; the reason is reported.
     """
@@ -47,7 +47,7 @@ def consequence(questioned: str, extended: Path) -> Consequence:
         for name in SCENARIOS:
             before, after = (
                 run_in_memory(load(name, model=str(model))).shifts
-                for model in (questioned, extended)
+                for model in (given, extended)
             )
             found += [
                 Change(

@@ -107,7 +107,7 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a campaign of the project's own rigs.
 
-    parameters: the model that is questioned. progress(done, size): called from time to time.
+    parameters: the model to compare with. progress(done, size): called from time to time.
     Deterministic; the same with any number of workers.
 
     Raises

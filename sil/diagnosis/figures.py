@@ -115,7 +115,7 @@ def equations_figure(result: Diagnosis, k: int, before: Alone, after: Alone) -> 
 
     def add(title: str, unit: str, one: Floats, two: Floats) -> None:
         lines = [
-            Series("questioned model", ms, one, "before", width=0.9),
+            Series("given model", ms, one, "before", width=0.9),
             Series(AFTER, ms, two, "after", width=0.9),
         ]
         panels.append(Panel(title, unit, lines, rules=[Rule(0.0, axis="y")], height=120))

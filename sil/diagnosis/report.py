@@ -38,7 +38,7 @@ from sil.report.shell import Head, Picture, render
 PICTURES = {
     "strokes": (
         "Measured and simulated strokes",
-        "The strokes that the questioned model fits worst among those {where}. Grey: measured. Orange: "
+        "The strokes that the given model fits worst among those {where}. Grey: measured. Orange: "
         "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
         "residuals over their expected scatter; the band is three standard deviations.",
     ),
@@ -51,7 +51,7 @@ PICTURES = {
         "Residuals one equation at a time",
         "One equation at a time: measured pressures into the stay's force balance, measured position "
         "into each chamber's mass balance. What goes wrong in one of them alone is in that equation. "
-        "Orange: the questioned model without tolerances. The fixed rig's chambers begin vented here.",
+        "Orange: the given model without tolerances. The fixed rig's chambers begin vented here.",
     ),
     "term": (
         "What is missing",
@@ -155,7 +155,7 @@ def _plain(shown: Shown) -> dict[str, Any]:
 def _equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
     """Return the stroke fitted worst, one equation at a time, before and after; None without channels.
 
-    Before is the questioned model itself, without tolerances: fitted, those would spread what
+    Before is the given model itself, without tolerances: fitted, those would spread what
     is wrong over all equations.
     """
     final = result.final
