@@ -43,3 +43,20 @@ def test_a_path_that_cannot_exist_is_bad_input(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"opc4 {command}: ") and ("expected" in line or "nearest" in line)
     assert {path.name for path in tmp_path.iterdir()} == {"loop"}
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["run", "x", "--seed", "1.5"], "--seed: '1.5'; expected a whole number"),
+        (["run", "x", "--speed", "fast"], "--speed: 'fast'; expected a number"),
+        (["diagnose", "x", "--workers", "0"], "--workers 0: expected 1 or more"),
+        (["whatif"], "no STUDY; expected a file or a shipped name"),
+    ],
+)
+def test_a_wrong_option_is_one_line(
+    words: list[str], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert line in said
