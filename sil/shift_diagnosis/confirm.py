@@ -11,13 +11,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import msgspec
 import numpy as np
 
+from sil.shift_diagnosis.change import Change, renamed
 from sil.shift_diagnosis.healthy import FIT_SHIFTS
 from sil.shift_diagnosis.linear import Linear
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.shifts import Shift
-from sil.shift_diagnosis.track import THRESHOLD, Change, Track, renamed
+from sil.shift_diagnosis.track import THRESHOLD, Track
 from sil.shift_diagnosis.verdict import LARGEST
 
 ROUNDS: Final = 3
@@ -54,29 +56,42 @@ class Confirming:
         here = self.linear(own, causes=self.causes, active=self.before)
         n, cost = here.units, float(here.misfit.sum())
         h, g = here.information.sum(axis=0)[n:, n:], here.score.sum(axis=0)[n:]
-        costs = {}
+        costs, sizes = {}, {}
         for k, cause in enumerate(self.causes):
             step = float(g[k]) / max(float(h[k, k]), 1e-12)
-            costs[cause.effect.id] = min(cost, self._fitted(cause, own, step))
+            best, sizes[cause.effect.id] = self._fitted(cause, own, step)
+            costs[cause.effect.id] = min(cost, best)
         k = self.track.names.index(change.name)
-        last = max([0, *(each.shift for each in self.track.changes)])
+        last = max([self.track.base, *(each.shift for each in self.track.changes)])
         moved = self.track.level(k, change.shift)[0] - self.track.level(k, last, change.shift)[0]
         expected = float(h[k, k]) * moved**2
         if expected > THRESHOLD**2 and cost - min(costs.values()) < CONFIRMED * expected:
             return None
-        return renamed(change, costs)
+        found = renamed(change, costs)
+        if found.name != change.name:  # by how much more than this one scatters from trip to trip?
+            k = self.track.names.index(found.name)
+            size, deviation = self.track.level(k, last, change.shift)
+            scatter = self.track.scatter
+            variance = scatter.within2[k] / max(float(h[k, k]), 1e-12) + scatter.between2[k]
+            sigma = abs(sizes[found.name] - size) / np.hypot(deviation, np.sqrt(variance))
+            found = msgspec.structs.replace(found, sigma=float(sigma))
+        return found
 
-    def _fitted(self, cause: Cause, shifts: Sequence[Shift], step: float) -> float:
-        """Return chi squared of shifts with a cause of the best size, from a first step of it."""
+    def _fitted(self, cause: Cause, shifts: Sequence[Shift], step: float) -> tuple[float, float]:
+        """Return chi squared of shifts with a cause of the best size, and that size.
+
+        step: the first one, from the size before the change.
+        """
         low, high = cause.sizes(LARGEST)
-        size, best = self.before.get(cause, 0.0), np.inf
+        size = found = self.before.get(cause, 0.0)
+        best = np.inf
         for _ in range(ROUNDS):
             size = min(max(size + step, low), high)
             linear = self.linear(shifts, causes=[cause], active=self.before | {cause: size})
             cost = float(linear.misfit.sum())
             if cost >= best:
                 break
-            best, n = cost, linear.units
+            best, found, n = cost, size, linear.units
             h = max(float(linear.information[:, n, n].sum()), 1e-12)
             step = float(linear.score[:, n].sum()) / h
-        return best
+        return best, found

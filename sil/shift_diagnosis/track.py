@@ -10,7 +10,6 @@ Checked by: tests/unit/sil/shift_diagnosis/test_track.py
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -18,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from sil.shift_diagnosis.change import LINEAR, SEPARABLE, Change, Confirm
 from sil.shift_diagnosis.scatter import PAUSE_S, Scatter
 from sil.shift_diagnosis.steps import line_of, of_difference, ramp_costs, step_gains
 
@@ -38,48 +38,10 @@ THRESHOLD: Final = 5.5
 simulation (`python -m tests.bench watch_rates`)."""
 RAMP_GAIN: Final = 4.0
 """Half chi squared by which a drift must be better than a step."""
-SEPARABLE: Final = 9.0
-"""Chi squared by which the changes of two parameters must differ to be distinguished."""
 FEWEST_TRIPS: Final = 10
 """Trips from which a change can be found where there are several: how they differ is then known."""
 TRIPS: Final = 1.5
 """Trips, whole and begun, that a change must last where there are several."""
-LINEAR: Final = 0.05
-"""Share of a change's chi squared that the linear model may be wrong by."""
-
-
-class Change(msgspec.Struct, kw_only=True):
-    """A step or the begin of a drift. Numbers of shifts count from the truck's first, 0.
-
-    shift: the first one after the change, low to high its 95 % interval; time_s: when that was;
-    found: the shift after which it was found. sigma: standard deviations. alike: parameters whose
-    change the shifts cannot distinguish from this one. since: from which shift on it is dated; -1: not again.
-    """
-
-    name: str
-    kind: str
-    shift: int
-    low: int
-    high: int
-    time_s: float
-    found: int
-    sigma: float
-    alike: list[str]
-    since: int = 0
-
-
-Confirm = Callable[[Change], Change | None]
-
-
-def renamed(change: Change, costs: Mapping[str, float]) -> Change:
-    """Return a change named by the parameter that explains it best.
-
-    costs: chi squared of the shifts after it, by name, each parameter moved as far as is best.
-    """
-    name = min(costs, key=costs.__getitem__)
-    near = costs[name] + max(SEPARABLE, LINEAR * (max(costs.values()) - costs[name]))
-    alike = [other for other, cost in costs.items() if other != name and cost < near]
-    return msgspec.structs.replace(change, name=name, alike=alike)
 
 
 @dataclass
@@ -88,9 +50,10 @@ class Track:
 
     names: of the parameters [p]. count, first, time_s [cells]; information [cells, p, p] and
     score [cells, p] of the sizes; trips [cells]: how many trips a cell is, in all 1 for each trip;
-    since: shift from which the present state counts; drifting: parameters that have drifted since
-    then; trip_first, trip_cells, last_s: of the present trip, its first shift, the number of its
-    cells before any were merged, and the time of its latest shift; is_open: the last cell takes more.
+    since: shift from which the present state counts; base: shift from which all are linearised at the
+    sizes `point` [p]; drifting: parameters that have drifted since then; trip_first, trip_cells,
+    last_s: of the present trip, its first shift, the number of its cells before any were merged, and
+    the time of its latest shift; is_open: the last cell takes more.
     """
 
     names: tuple[str, ...]
@@ -103,6 +66,8 @@ class Track:
     scatter: Scatter
     shifts: int = 0
     since: int = 0
+    base: int = 0
+    point: Floats = field(default_factory=lambda: np.zeros(0))
     drifting: set[str] = field(default_factory=set)
     changes: list[Change] = field(default_factory=list)
     trip_first: int = 0
@@ -116,7 +81,7 @@ class Track:
         p = len(names)
         return cls(
             names, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0),
-            np.zeros((0, p, p)), np.zeros((0, p)), np.zeros(0), Scatter.of(p),
+            np.zeros((0, p, p)), np.zeros((0, p)), np.zeros(0), Scatter.of(p), point=np.zeros(p),
         )  # fmt: skip
 
     @property
@@ -129,7 +94,19 @@ class Track:
         known = self.shifts >= FEWEST_SHIFTS and not 1 < self.scatter.trips < FEWEST_TRIPS
         return "steady" if known else "cannot_tell"
 
+    @property
+    def is_far(self) -> bool:
+        """Whether shifts are still linearised at the point from before the last change."""
+        return bool(self.changes) and self.base < self.changes[-1].found
+
     # --- taking shifts ------------------------------------------------------------------------
+    def linearised_at(self, point: Floats) -> None:
+        """Take the following shifts as linearised at other sizes [p].
+
+        They are not compared with those before: the difference of two linear models is no change.
+        """
+        self.point, self.base, self.is_open = point, self.shifts, False
+
     def take(
         self, information: Floats, score: Floats, time_s: Floats, confirm: Confirm | None = None
     ) -> list[Change]:
@@ -201,7 +178,7 @@ class Track:
         second = self.first[1:]
         reach = np.minimum(self.shifts - second, np.abs(second - self.since)) + BLOCK
         width = (self.count[:-1] + self.count[1:]) / reach
-        borders = self.since, self.trip_first, *(change.shift for change in self.changes)
+        borders = self.since, self.base, self.trip_first, *(change.shift for change in self.changes)
         width[np.isin(second, borders)] = np.inf
         groups = np.delete(np.arange(len(self.count)), int(np.argmin(width)) + 1)
         for name in ("count", "information", "score", "trips"):
@@ -236,7 +213,7 @@ class Track:
         return np.asarray(freedom * np.expm1(THRESHOLD**2 / freedom))
 
     def _tested(self, confirm: Confirm | None) -> Change | None:
-        whole, h, a, t = self._segment(self.since)
+        whole, h, a, t = self._segment(max(self.since, self.base))
         if len(t) < FEWEST_CELLS + 1 or 1 < self.scatter.trips < FEWEST_TRIPS:
             return None
         for name in self.drifting:  # the others see it, too
@@ -263,10 +240,13 @@ class Track:
         )  # fmt: skip
         change = found if confirm is None else confirm(found)
         if change is not None and change.name != self.names[k]:
-            k = self.names.index(change.name)  # has this one changed by more than it scatters?
-            sigma = float(np.sqrt(gain[j, k]))
-            own = share[j - FEWEST_CELLS, k] >= 1.0
-            change = msgspec.structs.replace(change, sigma=sigma) if own else None
+            # the change is significant; has this one changed by more than it scatters?
+            k = self.names.index(change.name)
+            linear = float(np.sqrt(gain[j, k]))
+            own = share[j - FEWEST_CELLS, k] >= 1.0 or change.sigma >= THRESHOLD
+            change = (
+                msgspec.structs.replace(change, sigma=max(linear, change.sigma)) if own else None
+            )
         if change is None:
             self._date(self.shifts)
             return None
@@ -300,6 +280,7 @@ class Track:
         low, high = np.searchsorted(sure, [0.025, 0.975]).tolist()
         cell = int(np.argmin(ramps if is_drift else steps))
         first = self.first[whole][own]
+        low, high = min(low, cell + 1), max(high, cell)
         self.changes[-1] = msgspec.structs.replace(
             change, kind="drift" if is_drift else "step", shift=int(first[cell]),
             low=int(first[max(low - 1, 0)]), high=int(first[high] + self.count[whole][own][high]),

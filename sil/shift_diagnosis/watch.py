@@ -23,13 +23,14 @@ from plant.parameters import ParameterSet
 from sil.files.progress import Progress
 from sil.j1939.mapping import SignalMapping
 from sil.logs import FORMATS
+from sil.shift_diagnosis.change import Change
 from sil.shift_diagnosis.confirm import Confirming
 from sil.shift_diagnosis.healthy import FIT_SHIFTS, loaded_fit, rest_noise_m
 from sil.shift_diagnosis.linear import Floats, Noise, linearise
 from sil.shift_diagnosis.loads import CONE, own_loads, with_speeds, without_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
-from sil.shift_diagnosis.track import Change, Track
+from sil.shift_diagnosis.track import Track
 from sil.shift_diagnosis.verdict import LARGEST
 
 STORE: Final = "watch.sqlite"
@@ -219,7 +220,11 @@ class Watch:
             free = tuple(dict.fromkeys((*reference.loads, *cone)))
             some = own_loads(model, some, at, free)
             noise = Noise(reference.noise_m, reference.scatter, loads=free)
-            sizes = self._present(model, some, reference, track, noise)
+            if track.is_far:
+                track.linearised_at(self._present(model, some, reference, track, noise))
+            elif track.drifting:
+                track.point = self._present(model, some, reference, track, noise)
+            sizes = self._sizes(track.point)
             linear = linearise(model, some, at, self._causes, sizes, noise=noise)
             chi2 = linear.misfit / np.maximum(linear.count, 1)
             odd = (chi2 > ODD * reference.chi2) & (chi2 > ODD) | (linear.count == 0)
@@ -248,23 +253,26 @@ class Watch:
         reference: Reference,
         track: Track,
         noise: Noise,
-    ) -> dict[Cause, float]:
-        """Return the sizes of causes to linearise shifts around: none, or what changed so far.
+    ) -> Floats:
+        """Return the sizes to linearise shifts at: none, or what changed so far.
 
         That is the point which explains the first of them best. Far from their point shifts are
         not linear, and a cause would look like others.
         """
         few, at = shifts[: 2 * FIT_SHIFTS], np.array(reference.values)
-        points: list[dict[Cause, float]] = [{}]
-        for moved in track.moved() if track.changes else ():
-            pairs = zip(self._causes, moved.tolist(), strict=True)
-            points.append({c: float(np.clip(size, *c.sizes(LARGEST))) for c, size in pairs if size})
+        points = [np.zeros(len(self._causes)), *track.moved()]
         costs = []
-        for sizes in points if track.changes else ():
+        for point in points:
+            sizes = self._sizes(point)
             linear = linearise(model, few, at, tuple(sizes), sizes, noise=noise)
             chi2 = linear.misfit / np.maximum(linear.count, 1)
             costs.append(float(np.median(np.where(linear.count, chi2, np.inf))))
-        return points[int(np.argmin(costs))] if costs else {}
+        return points[int(np.argmin(costs))]
+
+    def _sizes(self, point: Floats) -> dict[Cause, float]:
+        """Return the causes that are not absent at a point, with their sizes there."""
+        pairs = zip(self._causes, point.tolist(), strict=True)
+        return {c: float(np.clip(size, *c.sizes(LARGEST))) for c, size in pairs if size}
 
     def _model(self, mounted: bool) -> PlantModel:
         if mounted not in self._models:

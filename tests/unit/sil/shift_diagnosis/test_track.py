@@ -76,6 +76,26 @@ def test_a_first_trip_says_nothing_of_the_second() -> None:
     assert track.changes == []
 
 
+@pytest.mark.parametrize("anew", [False, True])
+def test_another_point_of_linearisation_is_no_change(anew: bool) -> None:
+    """After a change at 1000 another point moves what the shifts show; a change at 3000 counts."""
+    generator = np.random.default_rng(3)
+    information = information_of(generator, 3)
+    track = Track.of(("a", "b", "c"))
+    for begin in range(0, 4000, 100):
+        sizes = np.full((100, 3), [3.0 * (begin >= 1000), 0.0, 3.0 * (begin >= 3000)])
+        if track.is_far and anew:
+            track.linearised_at(np.array([3.0, 0.0, 0.0]))
+        if begin >= 1100:
+            sizes[:, 1] += 3.0
+        h, z = observed(generator, sizes, information)
+        track.take(h, z, np.arange(begin, begin + 100.0))
+    dates = [change.shift for change in track.changes]
+    assert dates == ([1000, 3000] if anew else [1000, 1100, 3000])
+    assert track.base == (3100 if anew else 0)
+    assert all(change.low <= change.shift <= change.high for change in track.changes)
+
+
 def test_wider_scatter_than_stated_is_learned() -> None:
     generator = np.random.default_rng(1)
     information = information_of(generator, 5)
