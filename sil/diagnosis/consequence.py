@@ -46,8 +46,7 @@ def consequence(given: str, extended: Path) -> Consequence:
     try:
         for name in SCENARIOS:
             before, after = (
-                run_in_memory(load(name, model=str(model))).shifts
-                for model in (given, extended)
+                run_in_memory(load(name, model=str(model))).shifts for model in (given, extended)
             )
             found += [
                 Change(

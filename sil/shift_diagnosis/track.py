@@ -243,9 +243,9 @@ class Track:
             # the change is significant; has this one changed by more than it scatters?
             k = self.names.index(change.name)
             linear = float(np.sqrt(gain[j, k]))
-            own = share[j - FEWEST_CELLS, k] >= 1.0 or change.sigma >= THRESHOLD
+            moved = bool(share[j - FEWEST_CELLS, k] >= 1.0 or change.sigma >= THRESHOLD)
             change = (
-                msgspec.structs.replace(change, sigma=max(linear, change.sigma)) if own else None
+                msgspec.structs.replace(change, sigma=max(linear, change.sigma)) if moved else None
             )
         if change is None:
             self._date(self.shifts)
