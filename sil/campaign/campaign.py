@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import asdict
 from numpy.typing import NDArray
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, nearest
 from can_dbc.typed_toml import convert, read_toml
 from plant.systems.stroke import Stroke, StrokeConditions
 from sil.campaign.tables import SCALES, formula, read_columns
@@ -191,6 +191,35 @@ class Record:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+
+def misspelt_columns(
+    found: Iterable[tuple[CampaignStroke, Collection[str]]],
+) -> list[tuple[str, str, str]]:
+    """Return the columns that are not used and resemble a missing one, as files, column and what is wrong.
+
+    found: each stroke with the names of its record's columns.
+    """
+    files: dict[tuple[str, str], list[str]] = {}
+    for entry, columns in found:
+        names = [f"pressure_{chamber}_pa" for chamber in entry.conditions.chambers]
+        names += ["pressure_oil2_pa"] if entry.conditions.load == "damper" else []
+        missing = [n for n in ("position_m", *names, "position_internal_m") if n not in columns]
+        for name in columns:
+            if OWN.fullmatch(name):
+                continue
+            word = name.lower()
+            near = [m for m in missing if m.startswith(word)] or nearest(word, missing, 1)
+            if near:
+                files.setdefault((name, near[0]), []).append(entry.file)
+    return [
+        (
+            names[0] + (f" and {len(names) - 1} more" if names[1:] else ""),
+            name,
+            f"column not used, and {near} is missing; expected that name, or a map in [columns]",
+        )
+        for (name, near), names in files.items()
+    ]
 
 
 def load_campaign(path: str | Path) -> Campaign:

@@ -32,12 +32,14 @@ class SimulatedStroke:
     """A simulated stroke, the entry it came from, and its deviation from the record.
 
     rms: per column of the record, the root mean square of simulated minus recorded, in the
-    column's unit; empty where the campaign holds conditions only.
+    column's unit; empty where the campaign holds conditions only. columns: names
+    of the record's columns.
     """
 
     entry: CampaignStroke
     stroke: Stroke
     rms: dict[str, float]
+    columns: tuple[str, ...]
 
     @property
     def arrival_s(self) -> float:
@@ -76,7 +78,8 @@ def simulate_campaign(campaign: Campaign, parameters: ParameterSet) -> Iterable[
             for name, values in stroke_columns(stroke).items():
                 if name in recorded and not name.startswith(("cmd_", "time")):
                     rms[name] = float(np.sqrt(np.mean((values - recorded[name]) ** 2)))
-        yield SimulatedStroke(entry, stroke, rms)
+        columns = () if recorded is None else tuple(recorded.columns)
+        yield SimulatedStroke(entry, stroke, rms, columns)
 
 
 def write_campaign(

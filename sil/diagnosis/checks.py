@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
-from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
+from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
 from sil.diagnosis.noise import estimated_noise
 from sil.diagnosis.phases import runs
 from sil.fitting.fit import FitResult
@@ -58,6 +58,8 @@ def observed(
     """
     findings: list[Finding] = []
     records = [campaign.record(entry) for entry in campaign.strokes]
+    named = zip(campaign.strokes, (record.columns for record in records), strict=True)
+    findings += [Finding(*what) for what in misspelt_columns(named)]
     clipped: list[set[str]] = []
     for entry, record in zip(campaign.strokes, records, strict=True):
         odd = check_record(entry, record, parameters)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 
 from can_dbc.errors import InputError
 from plant.parameters import load
-from sil.campaign.campaign import CampaignStroke, Record
-from sil.diagnosis.checks import check_record, longest_run, time_shift
+from sil.campaign.campaign import CampaignStroke, Record, load_campaign
+from sil.cli import main
+from sil.diagnosis.checks import check_record, longest_run, observed, time_shift
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
 ENTRY = CampaignStroke("stroke_001.csv", "fixed", conditions_of("fixed", 900000.0))
@@ -49,6 +51,27 @@ def test_wrong_units_and_dead_channels_are_named(clean, column, change, hint) ->
         checked(changed)
     text = str(caught.value)
     assert column in text and hint in text and "\n" not in text
+
+
+def test_a_misspelt_column_is_named(clean, tmp_path, capsys) -> None:
+    folder = shutil.copytree(clean.folder, tmp_path / "misspelt")
+    for stroke in clean.strokes:
+        path = folder / stroke.file
+        head, body = path.read_text().split("\n", 1)
+        path.write_text(
+            head.replace("position_m", "pos") + ",marker\n" + body.replace("\n", ",0\n")
+        )
+    what = "column not used, and position_m is missing; expected that name, or a map in [columns]"
+    more = f"and {len(clean.strokes) - 1} more: pos: {what}"
+    _strokes, findings = observed(load_campaign(folder), load())
+    assert [str(item) for item in findings] == [f"stroke_001.csv {more}"]
+    assert main(["simulate", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert capsys.readouterr().err.splitlines()[0] == (
+        f"opc4 simulate: {folder}/stroke_001.csv {more}"
+    )
+    with (folder / "campaign.toml").open("a") as table:
+        table.write('[columns]\nposition_m = "pos"\n')
+    assert observed(load_campaign(folder), load())[1] == []
 
 
 def test_a_short_record_and_a_gap_are_named(clean) -> None:
