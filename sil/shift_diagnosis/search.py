@@ -60,6 +60,8 @@ SECOND: Final = 5
 """Causes that are fitted from the truck of the best one."""
 NEARLY: Final = 0.5
 """Chi squared per number by which a rival's fit may be worse than that of the best cause."""
+STARTS: Final = 2
+"""Starts of each effect from which it is fitted, of many that a coarse search compares."""
 SHOWN: Final = 0.5
 """Share of the prior's variance of a size above which shifts say nothing of it."""
 Items = Sequence[tuple[Cause | None, Floats]]
@@ -198,8 +200,9 @@ def second_attempt(
 ) -> list[Judged]:
     """Return the hypotheses, every cause fitted once more before one of them is claimed.
 
-    First to some shifts, from a usual truck, from the healthy one, and from the best cause's; then
-    the best variant of each effect to all. What the first search left out need not be worse.
+    From a usual truck, from the healthy one, and from the best cause's: to a few shifts, the best
+    starts of each effect to more, and the best variant to all. What the first search left out need
+    not be worse.
     """
     usual = usual_starts(fitter, causes, COARSE_M[0])
     trucks = [item.fit for item in judged if item.fit.cause is None]
@@ -212,17 +215,25 @@ def second_attempt(
             if cause is not truck.cause and cause.sign * size >= 0.0:
                 start = float(np.clip(size, *cause.sizes(LARGEST_START)))
                 items.append((cause, np.append(truck.values, start)))
-    first: dict[str, Fit] = {}
-    for fit in sorted(run(fitter.fit, items), key=lambda fit: fit.cost):
-        assert fit.cause is not None
-        first.setdefault(fit.cause.effect.id, fit)
-    finals = run(partial(final_fit, whole), [(fit.cause, fit.point) for fit in first.values()])
+    quick = Fitter(fitter.model, spread(fitter.shifts, QUICK_SHIFTS), fitter.noise)
+    best = _best_of_each(run(partial(quick.fit, rounds=4), items), STARTS)
+    best = _best_of_each(run(fitter.fit, [(fit.cause, fit.point) for fit in best]), 1)
+    finals = run(partial(final_fit, whole), [(fit.cause, fit.point) for fit in best])
     found = {item.fit.cause: item for item in judged}
     for item in map(Judged.of, finals):
         before = found.get(item.fit.cause)
         if before is None or item.cost < before.cost:
             found[item.fit.cause] = item
     return list(found.values())
+
+
+def _best_of_each(fits: Sequence[Fit], most: int) -> list[Fit]:
+    """Return at most so many fits of each effect, those of the least cost."""
+    found: dict[str, list[Fit]] = {}
+    for fit in sorted(fits, key=lambda fit: fit.cost):
+        assert fit.cause is not None
+        found.setdefault(fit.cause.effect.id, []).append(fit)
+    return [fit for own in found.values() for fit in own[:most]]
 
 
 def with_rivals(
