@@ -140,11 +140,13 @@ def new_campaign(arguments: argparse.Namespace) -> int:
 def run_force(arguments: argparse.Namespace, stamps: list[str]) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if not consistent."""
     from sil.diagnosis.force_page import write_page
-    from sil.diagnosis.force_rig import diagnose_force
+    from sil.diagnosis.force_record import read_motion
+    from sil.diagnosis.force_rig import diagnose_motion
     from sil.files.output_folder import finite, prepare_folder
 
-    found = diagnose_force(arguments.campaign)
-    folder = prepare_folder(arguments.out, f"{found.record.name}-diagnosis", arguments.force)
+    record = read_motion(arguments.campaign)
+    folder = prepare_folder(arguments.out, f"{record.name}-diagnosis", arguments.force)
+    found = diagnose_motion(record)
     write_page(found, folder, arguments.campaign)
     return _finish(arguments, folder, finite(found.as_json() | {"effects": stamps}))
 
@@ -164,9 +166,9 @@ def run_logs(arguments: argparse.Namespace) -> int:
     name = Path(arguments.campaign[0]).name.split(".")[0]
     logs, skipped = arguments.campaign, Counter[str]()
     layout, workers = (arguments.map, arguments.dbc), arguments.workers
+    folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
     with Progress(f"diagnosing {name}", "%", at_once=True) as progress:
         found = diagnosed(logs, arguments.model, layout, skipped, progress, workers)
-    folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
     values = finite(as_json(found, logs, dict(skipped)) | {"effects": stamps})
     write_files(found, values, folder, arguments.model, shlex.join(["opc4", *sys.argv[1:]]))
     return _finish(arguments, folder, values)

@@ -38,9 +38,9 @@ def run(arguments: argparse.Namespace) -> int:
     module = importlib.import_module(f"sil.identify.{WHAT[arguments.what]}")
     method = getattr(module, f"identify_{arguments.what}")
     name = f"{campaign.name}-{arguments.what}"
+    folder = prepare_folder(arguments.out, name, arguments.force)
     with Progress(f"identifying {arguments.what}", "steps") as progress:
         found: Identified = method(campaign, parameters, progress)
-    folder = prepare_folder(arguments.out, name, arguments.force)
     write_atomically(folder / "model.toml", model_of(found, parameters))
     save(found.figure, folder, arguments.what)
     if arguments.json:

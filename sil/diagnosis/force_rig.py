@@ -55,7 +55,11 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
 
     Raises InputError as `read_motion` does.
     """
-    record = read_motion(path)
+    return diagnose_motion(read_motion(path))
+
+
+def diagnose_motion(record: Recorded) -> ForceDiagnosis:
+    """Diagnose a motion that was read."""
     bank, tried = _tried(record)
     judged, verdict = _decided(bank, tried)
     late_s = _late_within_a_step_s(bank, min(tried, key=lambda item: item.rms_n), verdict.leader)

@@ -60,3 +60,18 @@ def test_a_wrong_option_is_one_line(
     assert cli.main(words) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert line in said
+
+
+def test_a_folder_that_holds_a_run_is_refused_before_logs_are_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = tmp_path / "bus.log", tmp_path / "out"
+    source.write_text(LOG)
+    assert cli.main(["diagnose", str(source), "--out", str(out)]) == 2
+    assert "--out" not in capsys.readouterr().err  # the log is what is wrong
+    assert not out.exists()
+    out.mkdir()
+    (out / "diagnosis.json").write_text("{}")
+    assert cli.main(["diagnose", str(source), "--out", str(out)]) == 2
+    assert "holds another run (diagnosis.json)" in capsys.readouterr().err
+    assert (out / "diagnosis.json").read_text() == "{}"
