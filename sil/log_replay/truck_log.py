@@ -185,10 +185,6 @@ class TruckLog:
 
     def require_shifts(self) -> None:
         """Raise InputError in one line if shaft speeds, gears or shifts are missing."""
-        if not self.frames:
-            raise InputError(
-                f"{self.path}: no frame; expected some (within --since, --until, --id, --pgn, --channel)"
-            )
         held = {sender.message for sender in self._series}
         missing = [
             " or ".join(f"{name} ({self.mapping.identifier(name)})" for name in names)

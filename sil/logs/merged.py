@@ -68,7 +68,8 @@ class Logs:
     Times that count from a date in a file's header become absolute. Files follow each other by time;
     where they overlap their frames are interleaved, and a frame that is in several is taken once.
 
-    Raises on iteration: InputError as a `LogReader` does, and for files of which only some have dates.
+    Raises on iteration: InputError as a `LogReader` does, for files of which only some have dates, and
+    if no frame is selected.
     """
 
     def __init__(
@@ -100,7 +101,18 @@ class Logs:
         blocks = self._parts[0].blocks() if len(self._parts) == 1 else self._in_order()
         if self._selection:
             blocks = self._selection.select(blocks)
-        return chain.from_iterable(self._with_progress(blocks) if self._show_progress else blocks)
+        if self._show_progress:
+            blocks = self._with_progress(blocks)
+        return chain.from_iterable(self._not_empty(blocks))
+
+    def _not_empty(self, blocks: Iterator[list[LogFrame]]) -> Iterator[list[LogFrame]]:
+        frames = 0
+        for block in blocks:
+            frames += len(block)
+            yield block
+        if not frames:
+            filters = " within --since, --until, --id, --pgn, --channel" if self._selection else ""
+            raise InputError(f"{self.path}: no CAN frame{filters}; expected at least one")
 
     def _prepare(self) -> None:
         """Look at the beginning of each file, and order the files by it."""

@@ -97,7 +97,8 @@ class Mf4File:
         head = source.head
         if not is_mf4(head):
             version = printable(head[8:16].decode("latin-1").strip("\x00 "))
-            raise InputError(f"{report.path}: MDF version {version!r}; expected MDF 4")
+            what = f"MDF version {version!r}" if _recognise(head) else "byte 0: no MDF header"
+            raise InputError(f"{report.path}: {what}; expected MDF 4")
         flags = head[_FLAGS_AT] if len(head) > _FLAGS_AT else 0
         self.open_end = head.startswith(b"UnFin") or flags > 0
         with contextlib.ExitStack() as stack:

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from can_dbc.contract import DBC_PATH
 from can_dbc.errors import InputError
+from sil.cli import main
 from sil.files import progress
+from sil.j1939.mapping import SHIPPED
 from sil.logs import LogFrame, Selection, open_log, open_logs, open_writer
 
 START_NS = 1_600_000_000 * 10**9
@@ -86,6 +89,44 @@ def test_what_is_broken_is_located_in_its_file(tmp_path: Path) -> None:
     text = "\n".join(log.report.lines())
     assert f"{tmp_path}/b.log: line 11: 'garbage'" in text
     assert f"{tmp_path}/empty.log: no frames" in text
+
+
+def test_a_log_without_frames_is_refused_by_every_command(tmp_path: Path) -> None:
+    empty, found = tmp_path / "empty.log", tmp_path / "a.log"
+    empty.write_text("")
+    made(found, range(10))
+    for log, expected in (
+        (open_logs([empty]), f"{empty}: no CAN frame; expected at least one"),
+        (open_logs([found], selection=Selection.parse(ids=["7"])), "no CAN frame within --since"),
+        (open_logs([found], selection=Selection.parse(since="9")), "no CAN frame within --since"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            list(log)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["convert", "a.log", "out.csv"],
+        ["convert", "a.log", "out.csv", "--dbc", str(DBC_PATH)],
+        ["replay", "a.log", "--out", "out"],
+        ["replay", "a.log", "--summary", "--out", "out"],
+        ["replay", "a.log", "--map", str(SHIPPED), "--out", "out"],
+        ["bus", "--log", "a.log"],
+    ],
+)
+def test_a_command_refuses_a_log_without_frames_and_writes_nothing(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.log").write_text("# nothing\n")
+    assert main(words) == 2
+    expected = f"opc4 {words[0]}: a.log: no CAN frame; expected at least one\n"
+    assert capsys.readouterr().err == expected
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
 
 
 def test_a_selection_of_several_files(tmp_path: Path) -> None:

@@ -198,6 +198,11 @@ def test_other_versions_are_named(version: bytes, tmp_path: Path) -> None:
         read(bytes(blob), tmp_path)
 
 
+def test_a_file_without_header_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="byte 0: no MDF header; expected MDF 4"):
+        read(b"", tmp_path)
+
+
 def other_layout(fields: Sequence[Field], records: bytes, size: int) -> bytes:
     """A finished file with records of another layout."""
     build = Mf4Builder(finished=True)
