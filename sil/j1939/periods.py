@@ -25,8 +25,9 @@ _REGULAR_SHARE, _REGULAR_WITHIN = 0.8, 0.3
 class MeasuredMessage:
     """A message of the bus, from its intervals in the log.
 
-    period_ns: the median interval, or the mean one of a message that is not periodic. jitter_ns: by
-    how much an interval is shorter than that, 99 of 100 at most; it includes waiting for the bus.
+    period_ns: the mean interval, without those that are far from the median one if the message is
+    periodic. jitter_ns: by how much an interval is shorter than that, 99 of 100 at most; it includes
+    waiting for the bus.
     """
 
     can_id: int
@@ -56,7 +57,8 @@ class MeasuredMessage:
         median = ordered[len(ordered) // 2]
         near = [i for i in ordered if abs(i - median) <= _REGULAR_WITHIN * median]
         self.periodic = len(near) >= _REGULAR_SHARE * len(ordered)
-        self.period_ns = median if self.periodic else sum(ordered) // len(ordered)
+        counted = near if self.periodic else ordered
+        self.period_ns = round(sum(counted) / len(counted))
         shortest = ordered[len(ordered) // 100]
         self.jitter_ns = max(self.period_ns - shortest, 0) if self.periodic else 0
         return True

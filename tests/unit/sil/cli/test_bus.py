@@ -111,6 +111,21 @@ def test_periods_and_jitter_measured_from_a_log(
     assert any("1 messages are not periodic" in note for note in found["notes"])
 
 
+def test_the_period_of_intervals_that_alternate_is_their_mean(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "a.log"
+    with open_writer(log) as writer:
+        for n in range(400):
+            if n % 50:  # every 50th frame is lost
+                late_ns = 190_000 * (n % 2)
+                writer.write(LogFrame(n * 10_000_000 + late_ns, 0x100, b"", False, channel="can0"))
+    assert cli.main(["bus", "--log", str(log), "--json"]) == 0
+    (message,) = json.loads(capsys.readouterr().out)["messages"]
+    assert message["period_s"] == pytest.approx(0.01, abs=1e-6)
+    assert message["jitter_s"] == pytest.approx(190e-6, abs=1e-6)
+
+
 def test_a_log_of_several_buses_needs_a_channel(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -58,3 +58,17 @@ def test_notes_of_the_log_are_printed(tmp_path: Path, capsys: pytest.CaptureFixt
     log = written(tmp_path / "1.blf", with_engine())
     assert cli.main(["replay", str(log), "--summary"]) == 0
     assert "log: the start in the header names no time zone" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words", [["--set", "a=3"], ["--closed-loop"], ["--strategy", "x"], ["--map", "m.toml"]]
+)
+def test_options_of_a_replay_are_refused(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = written(tmp_path / "1.log", with_engine())
+    assert cli.main(["replay", str(log), "--summary", *words]) == 2
+    assert capsys.readouterr().err == (
+        f"opc4 replay: {words[0]}: not together with --summary, which replays nothing; expected one "
+        "of them\n"
+    )
