@@ -5,18 +5,11 @@ Checked by: tests/unit/sil/diagnosis/test_workers.py
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from typing import Any, TypeVar
+from collections.abc import Callable, Sequence
 
-from sil.files.worker import begin_worker
+from sil.files.worker import Answer, Item, in_processes
 from sil.fitting.fit import Fitter, Show, no_progress
 from sil.fitting.refused import Refusals
-
-Item = TypeVar("Item")
-Answer = TypeVar("Answer")
 
 
 class Stages:
@@ -39,13 +32,6 @@ class Stages:
         self._show(round(self._begin + (self._end - self._begin) * share), 100)
 
 
-_WORK: list[Callable[[Any], Any]] = []
-
-
-def _call(item: Any) -> Any:
-    return _WORK[-1](item)
-
-
 def spread_out(
     work: Callable[[Item], Answer],
     items: Sequence[Item],
@@ -54,27 +40,14 @@ def spread_out(
 ) -> list[Answer]:
     """Return work(item) of every item; in `workers` forked processes if that is more than one.
 
-    The work may hold anything (it is inherited by the fork); items and answers are pickled.
-    progress(done, size) is called after every item.
+    progress(done, size) is called after every item. Raises RunError if a process dies.
     """
     found: list[Answer] = []
-
-    def collect(answers: Iterable[Answer]) -> list[Answer]:
-        for answer in answers:
-            found.append(answer)
-            progress(len(found), len(items))
-        return found
-
-    if workers <= 1 or len(items) <= 1:
-        return collect(map(work, items))
-    _WORK.append(work)
-    try:
-        context = multiprocessing.get_context("fork")
-        number, own = min(workers, len(items)), (os.getpid(),)
-        with ProcessPoolExecutor(number, context, initializer=begin_worker, initargs=own) as pool:
-            return collect(pool.map(_call, items))
-    finally:
-        _WORK.pop()
+    number = min(workers, len(items))
+    for answer in in_processes(work, items, number) if number > 1 else map(work, items):
+        found.append(answer)
+        progress(len(found), len(items))
+    return found
 
 
 def fitted(

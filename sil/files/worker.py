@@ -1,4 +1,4 @@
-"""The beginning of every worker process of a pool.
+"""Independent pieces of work in forked processes of this machine, answers in order.
 
 Checked by: tests/unit/sil/diagnosis/test_workers.py, tests/faults/test_crash_safety.py
 """
@@ -9,9 +9,47 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+from can_dbc.errors import RunError
+
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+_WORK: list[Callable[[Any], Any]] = []
 
 
-def begin_worker(parent: int) -> None:
+def _call(item: Any) -> Any:
+    return _WORK[-1](item)
+
+
+def in_processes(
+    work: Callable[[Item], Answer], items: Sequence[Item], workers: int
+) -> Iterator[Answer]:
+    """Yield work(item) of every item from forked processes, in the order of the items.
+
+    The work may hold anything (it is inherited by the fork); items and answers are pickled.
+    Raises RunError if a process dies, and what the work raises.
+    """
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+
+    context = multiprocessing.get_context("fork")
+    pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(os.getpid(),))
+    _WORK.append(work)
+    try:
+        yield from pool.map(_call, items)
+        pool.shutdown()
+    except BrokenProcessPool:
+        raise RunError("a worker process died") from None
+    finally:
+        _WORK.remove(work)
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin(parent: int) -> None:
     """Leave interrupts to the process `parent`, and end when that is gone.
 
     A worker whose parent was killed would wait for ever otherwise: its pipes stay open in the others.

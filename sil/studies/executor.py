@@ -20,7 +20,7 @@ from pathlib import Path
 
 from can_dbc.errors import InputError, RunError
 from sil.files.atomic import write_atomically
-from sil.files.worker import begin_worker
+from sil.files.worker import in_processes
 from sil.studies.rows import RowResult, columns, run_row
 from sil.studies.study import LoadedStudy, Row, toml_value
 from sil.studies.table import RESULTS
@@ -117,44 +117,12 @@ def _results(
     if cluster is not None and wanted:
         yield from _on_cluster(study, rest, cluster)
     elif workers > 1 and rest:
-        yield from _on_processes(study, rest, workers)
+        try:
+            yield from in_processes(partial(run_chunk, study), rest, workers)
+        except RunError as error:
+            raise RunError(f"{error}; {CONTINUE}") from None
     else:
         yield from (run_chunk(study, piece) for piece in rest)
-
-
-_STUDY: list[LoadedStudy] = []
-"""The study of a worker process."""
-
-
-def _begin_worker(study: LoadedStudy, parent: int) -> None:
-    _STUDY[:] = [study]
-    begin_worker(parent)
-
-
-def _run_worker_chunk(numbers: tuple[int, int]) -> list[str]:
-    return run_chunk(_STUDY[0], numbers)
-
-
-def _on_processes(
-    study: LoadedStudy, wanted: list[tuple[int, int]], workers: int
-) -> Iterator[list[str]]:
-    """Run chunks in worker processes of this machine. Raises RunError if one dies."""
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-    from concurrent.futures.process import BrokenProcessPool
-
-    pool = ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("fork"),
-        initializer=_begin_worker,
-        initargs=(study, os.getpid()),
-    )
-    try:
-        yield from pool.map(_run_worker_chunk, wanted)
-    except BrokenProcessPool:
-        raise RunError(f"a worker process died; {CONTINUE}") from None
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _on_cluster(

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
+import pytest
+
+from can_dbc.errors import RunError
 from sil.diagnosis.workers import spread_out
 from tests.conftest import ROOT
 
@@ -30,6 +34,11 @@ def test_answers_keep_their_order_and_do_not_depend_on_the_workers() -> None:
     assert alone == [k * k + 3 for k in items]
     assert spread_out(work, items, 2) == alone
     assert spread_out(work, [], 2) == []
+
+
+def test_the_death_of_a_worker_is_an_error_in_one_line() -> None:
+    with pytest.raises(RunError, match=r"\Aa worker process died\Z"):
+        spread_out(lambda _item: os._exit(1), [0, 1], 2)
 
 
 def test_workers_end_when_their_parent_is_killed() -> None:
