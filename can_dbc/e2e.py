@@ -49,10 +49,10 @@ class E2eStatus(Enum):
     __hash__ = object.__hash__  # members are single: no need to hash their names
 
 
-_ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
+ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
 """Frames whose content is accepted."""
 
-_ALIVE = _ACCEPTED | {E2eStatus.INITIAL}
+_ALIVE = ACCEPTED | {E2eStatus.INITIAL}
 """Frames that restart the timeout."""
 
 
@@ -243,7 +243,7 @@ class Receiver(Generic[M]):
             self.reason = message
             return E2eStatus.ERROR
         status = self._check_counter(frame.data[1] & LARGEST_COUNTER)
-        if status in _ACCEPTED:
+        if status in ACCEPTED:
             self.message = message
             self.message_ns = now_ns
         return status
@@ -291,7 +291,7 @@ class Receiver(Generic[M]):
         window, c = self._window, self.config
         if self._state is E2eState.VALID and window.count(E2eStatus.OK) == len(window):
             return  # nothing but good frames: valid stays valid, whatever the tolerance
-        ok = sum(status in _ACCEPTED for status in window)
+        ok = sum(status in ACCEPTED for status in window)
         errors = window.count(E2eStatus.ERROR)
         if self._state is E2eState.VALID:
             if ok < c.min_ok_state_valid or errors > c.max_error_state_valid:

@@ -6,7 +6,9 @@ PDU format (8), PDU specific (8), source address (8). Source: SAE J1939-21.
 
 from __future__ import annotations
 
+import struct
 from typing import NamedTuple
+from zlib import crc32
 
 MAX_ID = 0x1FFF_FFFF
 MAX_LENGTH = 8
@@ -15,6 +17,14 @@ EDP_BIT = 1 << 25
 
 DP_BIT = 1 << 24
 """Data page; set together with EDP in lockstep control frames, clear in offers."""
+
+PAGE_BITS = EDP_BIT | DP_BIT
+
+SOCKETCAN_FRAME = struct.Struct("<IB3x8s")
+"""A frame as Linux has it (struct can_frame): identifier with flags, length, data."""
+
+SOCKETCAN_EXTENDED = 0x8000_0000
+"""Its flag of a 29-bit identifier; remote and error frames carry others."""
 
 
 class Frame(NamedTuple):
@@ -31,6 +41,11 @@ class J1939Id(NamedTuple):
     pgn: int
     source: int
     destination: int
+
+
+def checksum(can_id: int, data: bytes) -> int:
+    """Return the checksum that BusTime carries for a frame: the low byte of its record's CRC-32."""
+    return crc32(SOCKETCAN_FRAME.pack(can_id | SOCKETCAN_EXTENDED, len(data), data)) & 0xFF
 
 
 def split_id(can_id: int) -> J1939Id:

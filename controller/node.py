@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from can_dbc.codec import can_id_of, encode
-from can_dbc.e2e import E2eConfig, E2eStatus, Protector, Receiver
+from can_dbc.e2e import ACCEPTED, E2eConfig, Protector, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import (
     ControllerStatus,
@@ -19,8 +19,6 @@ from can_dbc.messages import (
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs, Outputs
 from controller.settings import nanoseconds
-
-_GOOD = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 
 
 class Steps(Protocol):
@@ -95,7 +93,7 @@ class ControllerNode:
         if receiver is None:
             return
         status = receiver.receive(arrival_ns, frame)
-        if receiver is self.pulses and status in _GOOD:
+        if receiver is self.pulses and status in ACCEPTED:
             pulse = self.pulses.message
             assert pulse is not None  # a good status comes with a message
             self._new_pulses.append(pulse)

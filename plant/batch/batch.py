@@ -7,9 +7,9 @@ path.  It is the same, bit for bit, for any number of workers.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,21 +119,6 @@ class Strokes:
             initial = np.array([setup.initial_state() for setup in setups])
         flow = shared([setup.c for setup in setups])
         return cls(first.conditions.system, packed, flow, initial, *drive, duration_s)
-
-    @classmethod
-    def varied(
-        cls, setup: Setup, duration_s: float, changes: Mapping[int, float | Floats]
-    ) -> Strokes:
-        """One stroke with some packed parameters changed: index in plant.kernel.layout -> values [n].
-
-        What is at supply or atmospheric pressure at the start follows that pressure.
-        """
-        base = cls.from_setups([setup], duration_s)
-        n = max((np.size(value) for value in changes.values()), default=1)
-        packed = np.repeat(base.packed, n, axis=0)
-        for index, value in changes.items():
-            packed[:, index] = value
-        return replace(base, packed=packed, initial=setup.initial_state(Parameters(packed)))
 
     @property
     def in_lanes(self) -> Bools:

@@ -8,7 +8,7 @@ from typing import Annotated, Generic, TypeVar
 import msgspec
 
 from can_dbc import codec
-from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
+from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import Chamber, E2eState, Gear, SafetyBlow, ValveCommand
 from plant.devices.valve import NEVER_NS, seconds_to_ns
@@ -16,7 +16,6 @@ from plant.devices.valve import NEVER_NS, seconds_to_ns
 Duties = tuple[float, float, float]
 
 DE_ENERGISED: Duties = (0.0, 0.0, 0.0)
-ACCEPTED = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 Input = TypeVar("Input", ValveCommand, SafetyBlow)
 
 

@@ -6,17 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from can_dbc.messages import ControllerStatus, PositionPulse
+from can_dbc.messages import PositionPulse
 from plant.devices.sensors import InductiveSensor
 from sil.claims.claim import GIVEN, NOT_MET, OPEN, PARTLY, Outcome, judged
 from sil.claims.strokes import loop, ms, nominal, peak_bar, plain, run, value
-from sil.recording.run_record import Floats
 
 PHASES = tuple(0.0005 * k for k in range(20))
-
-
-def _times_s(scenario: str, kind: type, field: str) -> Floats:
-    return loop(scenario).record.series(kind, field)[0]
 
 
 def _f01_three_positions() -> Outcome:
@@ -29,7 +24,7 @@ def _f01_three_positions() -> Outcome:
 
 def _f02_sampling() -> Outcome:
     slow, fast = (
-        float(np.mean(np.diff(_times_s(name, ControllerStatus, "estimate_m"))))
+        float(np.mean(np.diff(loop(name).record.estimate[0])))
         for name in ("lab_n_b", "firmware_2500us")
     )
     return judged(abs(slow - 0.010) < 1e-4 and abs(fast - 0.0025) < 1e-4, *ms(slow, fast))

@@ -18,7 +18,7 @@ from can_dbc.codec import can_id_of
 from can_dbc.contract import contract
 from can_dbc.e2e import COUNTERS, PROTECTED, with_counter
 from can_dbc.errors import InputError
-from can_dbc.frame import DP_BIT, EDP_BIT, Frame
+from can_dbc.frame import EDP_BIT, PAGE_BITS, Frame
 from sil.coupling.bus import Delivery, ErrorFrame, Transmission
 from sil.coupling.clock import NEVER_NS, to_ns
 from sil.coupling.other_bit_rate import MisfitNode, Window
@@ -35,7 +35,6 @@ INTRUDER = "intruder"
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
 
 MOST_DELAY_S = 10.0
-_PAGES = DP_BIT | EDP_BIT
 _NS_PER_US = 1000
 
 
@@ -343,7 +342,7 @@ class FaultPlan:
 def window_of(fault: BusFault, name: str = "fault") -> Window:
     """Return when a fault acts.  Raises InputError, with its name, for an impossible time."""
     start_ns = to_ns(fault.start_s, f"{name}.start_s")
-    if isinstance(fault, Sent) and fault.can_id & _PAGES:
+    if isinstance(fault, Sent) and fault.can_id & PAGE_BITS:
         given = f"0x{fault.can_id:08X}"
         raise InputError(
             f"{name}.can_id: {given} is on data page 1 to 3; expected bits 24, 25 clear"

@@ -121,10 +121,10 @@ class Recorded:
         """Return the noise of a filtered derivative per noise of a sample [1/s^order]."""
         return float(np.linalg.norm(kernel(self.width, order))) / self.step_s**order
 
-    def balance_sd_n(self, mass: float, viscous: float, stiffness: float = 0.0) -> float:
+    def balance_sd_n(self, mass: float, viscous: float) -> float:
         """Return the standard deviation of the noise of a filtered balance of forces [N]."""
         w = [kernel(self.width, order) / self.step_s**order for order in range(3)]
-        position = float(np.linalg.norm(mass * w[2] + viscous * w[1] + stiffness * w[0]))
+        position = float(np.linalg.norm(mass * w[2] + viscous * w[1]))
         force = float(np.linalg.norm(w[0]))
         return float(np.hypot(force * self.force_sd_n, position * self.position_sd_m))
 

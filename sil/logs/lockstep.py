@@ -7,24 +7,12 @@ control frame BusTime before it gives its arrival in simulated time.
 
 from __future__ import annotations
 
-import struct
 from itertools import pairwise
-from typing import Final
-from zlib import crc32
 
-from can_dbc.frame import DP_BIT, EDP_BIT
+from can_dbc.frame import EDP_BIT, PAGE_BITS, checksum
 from sil.logs.format import Batch
 from sil.logs.frame import LogFrame
 from sil.logs.report import LogReport
-
-_BOTH: Final = DP_BIT | EDP_BIT
-_EXTENDED: Final = 0x8000_0000
-_RECORD: Final = struct.Struct("<IB3x8s")
-
-
-def checksum(can_id: int, data: bytes) -> int:
-    """Return the checksum that BusTime carries for a frame."""
-    return crc32(_RECORD.pack(can_id | _EXTENDED, len(data), data)) & 0xFF
 
 
 class LockstepFilter:
@@ -44,7 +32,9 @@ class LockstepFilter:
     def take(self, batch: Batch) -> Batch:
         """Return the batch without the frames of the protocol."""
         if not self._active:
-            if not any(can_id & _BOTH == _BOTH for can_id in {frame[1] for frame in batch.frames}):
+            if not any(
+                can_id & PAGE_BITS == PAGE_BITS for can_id in {frame[1] for frame in batch.frames}
+            ):
                 return batch
             self._load_contract()
             self._active = any(
@@ -67,7 +57,7 @@ class LockstepFilter:
         from can_dbc.contract import contract
 
         specs = contract().values()
-        self._control = frozenset(s.can_id for s in specs if s.can_id & _BOTH == _BOTH)
+        self._control = frozenset(s.can_id for s in specs if s.can_id & PAGE_BITS == PAGE_BITS)
         self._bus_time = next(s.can_id for s in specs if s.name == "BusTime")
 
     def _is_control(self, frame: LogFrame) -> bool:
@@ -89,7 +79,7 @@ class LockstepFilter:
             left_out["control frames"] += 1
             if frame.can_id == self._bus_time:
                 self._announced_by = frame
-        elif frame.extended and frame.can_id & _BOTH == EDP_BIT:
+        elif frame.extended and frame.can_id & PAGE_BITS == EDP_BIT:
             left_out["offers, repeated when delivered"] += 1
         elif self._announced_by and self._announces(self._announced_by, frame):
             arrival_ns = int.from_bytes(self._announced_by.data[2:], "little")

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import PROTECTED, E2eStatus, Receiver
+from can_dbc.e2e import ACCEPTED, PROTECTED, E2eStatus, Receiver
 from sil.coupling.faults import INTRUDER
 from sil.recording.run_record import RunRecord
-
-ACCEPTED = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 
 
 class EndToEnd:

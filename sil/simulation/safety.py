@@ -24,7 +24,7 @@ from operator import or_
 import numpy as np
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
+from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
 from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveCommand
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.faults import BusOff, Dead, Delay, Stalled
@@ -126,7 +126,7 @@ def accepted_status(record: RunRecord) -> Reports:
         status = receiver.receive(entry.arrival_ns, entry.frame)
         if receiver.state(entry.arrival_ns) is not E2eState.VALID:
             found.append((entry, None))
-        elif status in (E2eStatus.OK, E2eStatus.OK_SOME_LOST):
+        elif status in ACCEPTED:
             found.append((entry, receiver.message))
     return found
 

@@ -23,6 +23,7 @@ def measure() -> Iterator[str]:
     from plant.kernel.layout import FixedState, LengthState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
+    from tests.varied_strokes import varied_strokes
 
     common = (
         Parameters.p_supply,
@@ -61,7 +62,7 @@ def measure() -> Iterator[str]:
                 place: setup.p[place] * (1.0 + share * (number == k + 1))  # noqa: B023
                 for k, place in enumerate(places)  # noqa: B023
             }
-            return Strokes.varied(setup, TIMES[-1], changes)  # noqa: B023
+            return varied_strokes(setup, TIMES[-1], changes)  # noqa: B023
 
         strokes = moved(MOVE)
         followers = Followers(TIMES)

@@ -24,6 +24,7 @@ def measure() -> Iterator[str]:
     from plant.kernel.layout import LengthState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
+    from tests.varied_strokes import varied_strokes
 
     try:
         judge = importlib.import_module("tests.reference.actuator")
@@ -91,7 +92,7 @@ def measure() -> Iterator[str]:
         Parameters.m_s: setups[0].p.m_s * draw.uniform(0.8, 1.5, BATCH),
         Parameters.k_out: draw.uniform(0.9, 1.1, BATCH),
     }
-    many = Strokes.varied(setups[0], TIMES[-1], changes)
+    many = varied_strokes(setups[0], TIMES[-1], changes)
     result = simulate_batch(many, sample_s=TIMES, columns=pressures, tolerance=setting)
     if not (result.in_lanes.all() and (result.status == DONE).all()):
         raise RuntimeError("a stroke of the batch did not run")

@@ -31,15 +31,16 @@ REPEATS = 5
 
 def measure() -> Iterator[str]:
     """Lines of the table."""
-    from plant.batch.batch import Strokes, simulate_batch
+    from plant.batch.batch import simulate_batch
     from plant.effects.stroke_conditions import StrokeConditions
     from plant.kernel.layout import Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
+    from tests.varied_strokes import varied_strokes
 
     setup = make_setup(load(), StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),)))
     masses = np.random.default_rng(4).uniform(0.8, 3.0, BATCH)
-    strokes = Strokes.varied(setup, 0.25, {Parameters.m_s: masses})
+    strokes = varied_strokes(setup, 0.25, {Parameters.m_s: masses})
     one_s = best_wall_s(lambda: simulate_batch(strokes))
     two_s = best_wall_s(lambda: simulate_batch(strokes, workers=2))
     cores = len(os.sched_getaffinity(0))

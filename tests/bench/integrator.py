@@ -41,12 +41,13 @@ def measure() -> Iterator[str]:
 
 def fixed_strokes() -> Iterator[str]:
     """One stroke of the fixed piston by each way, and ten thousand of ours at once."""
-    from plant.batch.batch import Strokes, simulate_batch
+    from plant.batch.batch import simulate_batch
     from plant.effects.stroke_conditions import StrokeConditions
     from plant.integrator.loop import DONE
     from plant.kernel.layout import FixedState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
+    from tests.varied_strokes import varied_strokes
 
     base = make_setup(load(), StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),)))
 
@@ -96,14 +97,14 @@ def fixed_strokes() -> Iterator[str]:
 
     def together(tolerance: float) -> list[Shown]:
         result = simulate_batch(
-            Strokes.varied(base, END_S, changes),
+            varied_strokes(base, END_S, changes),
             sample_s=TIMES, columns=[FixedState.p_1, FixedState.p_2], tolerance=tolerance,
         )  # fmt: skip
         rows = zip(result.arrival_s, result.impact_speed_m_s, result.samples, strict=True)
         return [Shown(*item) for item in rows]
 
     setting, worst = cheapest(together, OUR_SETTINGS, reference)
-    many = Strokes.varied(base, END_S, drawn(BATCH))
+    many = varied_strokes(base, END_S, drawn(BATCH))
     exact = simulate_batch(many, tolerance=1e-10, lanes=False)
     result = simulate_batch(many, tolerance=setting)
     if not (result.in_lanes.all() and (result.status == DONE).all()):

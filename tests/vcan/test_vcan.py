@@ -16,7 +16,7 @@ from pathlib import Path
 import can
 import pytest
 
-from can_dbc.frame import EDP_BIT
+from can_dbc.frame import EDP_BIT, SOCKETCAN_EXTENDED
 from sil.coupling.transports.socketcan import CanSocket
 
 pytestmark = pytest.mark.vcan
@@ -173,7 +173,7 @@ def test_a_burst_is_not_lost_on_the_way(tmp_path: Path) -> None:
     from can_dbc.frame import Frame
     from sil.coupling.transports import wire
 
-    receiver = CanSocket("vcan0", ((wire.EXTENDED, wire.EXTENDED),))
+    receiver = CanSocket("vcan0", ((SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED),))
     sender = CanSocket("vcan0", ())
     try:
         for number in range(5000):
@@ -193,7 +193,7 @@ def test_an_overrun_is_never_silent() -> None:
     from can_dbc.frame import Frame
     from sil.coupling.transports import wire
 
-    receiver = CanSocket("vcan0", ((wire.EXTENDED, wire.EXTENDED),))
+    receiver = CanSocket("vcan0", ((SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED),))
     sender = CanSocket("vcan0", ())
     try:
         raw = socket.socket(fileno=os.dup(receiver.fileno()))

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from can_dbc.errors import InputError, RunError
-from can_dbc.frame import EDP_BIT, Frame
+from can_dbc.frame import EDP_BIT, Frame, checksum
 from can_dbc.messages import StopReason
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.channel import Participant, Received, silent
@@ -264,7 +264,7 @@ class Session:
     def _receive(self, can_id: int, payload: bytes) -> None:
         """Accept the frame if it is the announced one and was sent by another participant."""
         announced = self._announced
-        if announced is None or announced.extra != wire.checksum(can_id, payload):
+        if announced is None or announced.extra != checksum(can_id, payload):
             return
         self._announced = None
         skip, self._skip = self._skip, False

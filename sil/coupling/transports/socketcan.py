@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from can_dbc.errors import InputError, RunError
-from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID
+from can_dbc.frame import EDP_BIT, MAX_ID, PAGE_BITS, SOCKETCAN_EXTENDED, SOCKETCAN_FRAME
 from sil.coupling.transports import wire
 from sil.coupling.transports.channel import NOBODY, ParticipantLost, Turn
 from sil.coupling.transports.remote import Peer, RemoteChannel
@@ -24,15 +24,14 @@ _SO_RCVBUFFORCE = 33
 _SO_RXQ_OVFL = 40
 _RECEIVE_BUFFER_BYTES = 8 << 20
 _REMOTE_FRAME = 0x4000_0000
-_CONTROL_BITS = EDP_BIT | DP_BIT
 _FULL_QUEUE_WAIT_S = 2.0
 UNREAD_WINDOW = 256
 """Records that may wait unread for a participant; a default receive buffer holds about 400."""
 
-ANY_FRAME = ((wire.EXTENDED, wire.EXTENDED | _REMOTE_FRAME),)
+ANY_FRAME = ((SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED | _REMOTE_FRAME),)
 PARTICIPANT_VIEW = (
-    (wire.EXTENDED, wire.EXTENDED | _REMOTE_FRAME | EDP_BIT),
-    (wire.EXTENDED | _CONTROL_BITS, wire.EXTENDED | _REMOTE_FRAME | _CONTROL_BITS),
+    (SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED | _REMOTE_FRAME | EDP_BIT),
+    (SOCKETCAN_EXTENDED | PAGE_BITS, SOCKETCAN_EXTENDED | _REMOTE_FRAME | PAGE_BITS),
 )
 """Kernel filters: every 29-bit data frame; and those without other participants' offers."""
 
@@ -115,7 +114,7 @@ class CanSocket:
                         f"channel {self.interface!r}: {lost - self._lost} frames were lost, "
                         "the receive buffer overflowed"
                     )
-        flagged_id, length, payload = wire.RECORD.unpack(record)
+        flagged_id, length, payload = SOCKETCAN_FRAME.unpack(record)
         return flagged_id & MAX_ID, payload[:length]
 
     def close(self) -> None:

@@ -40,9 +40,17 @@ import sys
 from collections.abc import Iterator
 from enum import IntEnum
 from typing import NamedTuple
-from zlib import crc32
 
-from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, Frame
+from can_dbc.frame import (
+    EDP_BIT,
+    MAX_ID,
+    MAX_LENGTH,
+    PAGE_BITS,
+    SOCKETCAN_EXTENDED,
+    SOCKETCAN_FRAME,
+    Frame,
+    checksum,
+)
 from can_dbc.messages import ParticipantId
 from sil.coupling.clock import NEVER_NS
 
@@ -54,22 +62,17 @@ VERSION = 1
 
 NOBODY = 255
 """Number in control frames that are about no participant in particular."""
-COORDINATOR = int(ParticipantId.COORDINATOR)
 GUEST = "guest"
 """The participant that a program of the user may be, announced in the scenario."""
 PARTICIPANTS = {p.name.lower(): int(p) for p in ParticipantId if p != ParticipantId.COORDINATOR}
 PARTICIPANTS[GUEST] = 4
 """Participant name to its number on the wire."""
 NAMES = {number: name for name, number in PARTICIPANTS.items()}
-EXTENDED = 0x8000_0000
-"""SocketCAN's flag of a 29-bit identifier; remote and error frames carry others and are refused."""
-RECORD = struct.Struct("<IB3x8s")
-RECORD_BYTES = RECORD.size
+RECORD_BYTES = SOCKETCAN_FRAME.size
 LONGEST_BATCH = 2048
 """Records in one datagram of the local socket at most."""
 
 _CONTROL = struct.Struct("<IB3xQ")
-_CONTROL_BITS = EDP_BIT | DP_BIT
 _UNUSED_BYTE = 0xFF
 
 
@@ -138,7 +141,7 @@ def control(
     `participant` and `extra` are taken modulo 256; raises struct.error for a value outside 48 bits.
     """
     word = value << 16 | (extra & 0xFF) << 8 | participant & 0xFF
-    return _CONTROL.pack(EXTENDED | kind, 8, word)
+    return _CONTROL.pack(SOCKETCAN_EXTENDED | kind, 8, word)
 
 
 def parse_control(can_id: int, payload: bytes) -> Control | None:
@@ -146,7 +149,7 @@ def parse_control(can_id: int, payload: bytes) -> Control | None:
 
     Raises WireError for one that is unknown or not 8 bytes long.
     """
-    if can_id & _CONTROL_BITS != _CONTROL_BITS:
+    if can_id & PAGE_BITS != PAGE_BITS:
         return None
     kind = _KINDS.get(can_id)
     if kind is None or len(payload) != 8:
@@ -160,12 +163,14 @@ _KINDS = {int(kind): kind for kind in Kind}
 
 def real(frame: Frame) -> bytes:
     """Return the record of a frame as the simulated bus delivers it."""
-    return RECORD.pack(frame.can_id | EXTENDED, len(frame.data), frame.data)
+    return SOCKETCAN_FRAME.pack(frame.can_id | SOCKETCAN_EXTENDED, len(frame.data), frame.data)
 
 
 def offer(frame: Frame) -> bytes:
     """Return the record of a frame that waits for arbitration: the same, EDP set."""
-    return RECORD.pack(frame.can_id | (EXTENDED | EDP_BIT), len(frame.data), frame.data)
+    return SOCKETCAN_FRAME.pack(
+        frame.can_id | (SOCKETCAN_EXTENDED | EDP_BIT), len(frame.data), frame.data
+    )
 
 
 def can_be_offered(frame: Frame) -> bool:
@@ -175,7 +180,7 @@ def can_be_offered(frame: Frame) -> bool:
     """
     return (
         0 <= frame.can_id <= MAX_ID
-        and not frame.can_id & _CONTROL_BITS
+        and not frame.can_id & PAGE_BITS
         and len(frame.data) <= MAX_LENGTH
     )
 
@@ -186,14 +191,8 @@ def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
     The checksum in BusTime, the low byte of the CRC-32 of the frame's record, lets a participant
     distinguish the announced frame from one that another program sends at that moment.
     """
-    record = real(frame)
-    word = arrival_ns << 16 | (crc32(record) & 0xFF) << 8 | sender
-    return _CONTROL.pack(EXTENDED | Kind.BUS_TIME, 8, word) + record
-
-
-def checksum(can_id: int, payload: bytes) -> int:
-    """Return the checksum that BusTime carries for this frame."""
-    return crc32(real(Frame(can_id, payload))) & 0xFF
+    word = arrival_ns << 16 | checksum(*frame) << 8 | sender
+    return _CONTROL.pack(SOCKETCAN_EXTENDED | Kind.BUS_TIME, 8, word) + real(frame)
 
 
 def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
@@ -204,8 +203,8 @@ def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
     """
     if len(records) % RECORD_BYTES:
         raise WireError(f"{len(records)} bytes; expected a multiple of {RECORD_BYTES}")
-    for flagged_id, length, payload in RECORD.iter_unpack(records):
-        if flagged_id & ~MAX_ID != EXTENDED or length > MAX_LENGTH:
+    for flagged_id, length, payload in SOCKETCAN_FRAME.iter_unpack(records):
+        if flagged_id & ~MAX_ID != SOCKETCAN_EXTENDED or length > MAX_LENGTH:
             raise WireError(
                 f"record with identifier word 0x{flagged_id:08X} and length {length}; "
                 "expected a classic data frame with a 29-bit identifier"

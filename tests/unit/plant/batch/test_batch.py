@@ -15,6 +15,7 @@ from plant.kernel.layout import EventRow, FixedState, LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
+from tests.varied_strokes import varied_strokes
 
 STROKES = {
     "fixed": (((0.01, "1", 0.98),), ()),
@@ -35,7 +36,7 @@ def setup(kind: str = "fixed", **more: object) -> Setup:
 
 def varied(kind: str, n: int = 20, **more: object) -> Strokes:
     rng = np.random.default_rng(3)
-    return Strokes.varied(
+    return varied_strokes(
         setup(kind, **more),
         DURATION_S,
         {
@@ -211,7 +212,7 @@ def test_refusals():
 @pytest.mark.parametrize("lanes", [True, False])
 def test_a_piston_and_a_stay_that_stop_together_come_to_rest(lanes):
     # each turn of the piston joined it to a stay still slower: an endless sequence of turns
-    strokes = Strokes.varied(
+    strokes = varied_strokes(
         setup("N-B"),
         DURATION_S,
         {

@@ -16,6 +16,7 @@ from plant.integrator.loop import DONE
 from plant.kernel.layout import FixedState, LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
+from tests.varied_strokes import varied_strokes
 
 TIME_S = np.linspace(0.0, 0.25, 251)
 FRICTION = {
@@ -52,7 +53,7 @@ def moved(base: Setup, places: tuple[int, ...], share: float) -> Strokes:
     """The stroke, then the stroke with each parameter moved by a share of itself."""
     rows = np.arange(len(places) + 1)
     changes = {i: base.p[i] * (1.0 + share * (rows == k + 1)) for k, i in enumerate(places)}
-    return Strokes.varied(base, TIME_S[-1], changes)
+    return varied_strokes(base, TIME_S[-1], changes)
 
 
 @pytest.mark.parametrize("kind", sorted(COMMANDS))

@@ -14,7 +14,6 @@ from sil.log_replay.options import find_settings
 from sil.log_replay.tick_grid import survey
 from sil.logs import open_log
 from sil.logs.convert import convert
-from sil.logs.lockstep import checksum
 from tests.unit.sil.log_replay.golden_logs import arrivals
 
 FRAMES = [(1_000_000 * k + 250, Frame(0x0CFF2091, bytes((k, *range(7))))) for k in range(20)]
@@ -83,11 +82,6 @@ def test_convert_leaves_the_protocol_out_and_counts_it(tmp_path: Path) -> None:
     assert report.written == 20
     assert any("left out: 60 control frames" in line for line in report.lines())
     assert [f.time_ns for f in open_log(tmp_path / "b.log")] == [at for at, _ in FRAMES]
-
-
-def test_the_checksum_is_that_of_the_protocol() -> None:
-    for _, frame in FRAMES:
-        assert checksum(*frame) == wire.checksum(*frame)
 
 
 def test_a_log_of_impossible_periods_is_refused_without_naming_parameters() -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError, RunError
-from can_dbc.frame import Frame
+from can_dbc.frame import SOCKETCAN_FRAME, Frame
 from can_dbc.messages import StopReason
 from sil.coupling.transports import wire
 from sil.coupling.transports.hub import Hub
@@ -143,7 +143,7 @@ def test_what_is_meant_for_others_is_passed_over() -> None:
         wire.control(Kind.RETIRE, PLANT),
         wire.offer(PULSE),
         wire.control(Kind.WELCOME, CONTROLLER, 1, 1),
-        wire.RECORD.pack(0x9FFF_FFFF, 3, b"abc"),
+        SOCKETCAN_FRAME.pack(0x9FFF_FFFF, 3, b"abc"),
         grant(0, 5),
     )
     assert joined.next_grant() == (5, [])

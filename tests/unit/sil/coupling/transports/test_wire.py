@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_dbc.frame import DP_BIT, EDP_BIT, Frame
+from can_dbc.frame import DP_BIT, EDP_BIT, Frame, checksum
 from sil.coupling.clock import NEVER_NS
 from sil.coupling.transports import wire
 from sil.coupling.transports.wire import Control, Kind
@@ -38,7 +38,7 @@ def test_an_announced_frame_comes_with_its_arrival_and_checksum(
 ) -> None:
     (time_id, time), (can_id, payload) = wire.split(wire.announced(sender, arrival_ns, frame))
     said = wire.parse_control(time_id, time)
-    assert said == Control(Kind.BUS_TIME, sender, wire.checksum(*frame), arrival_ns)
+    assert said == Control(Kind.BUS_TIME, sender, checksum(*frame), arrival_ns)
     assert (can_id, payload) == frame
 
 
@@ -46,7 +46,7 @@ def test_an_announced_frame_comes_with_its_arrival_and_checksum(
 def test_the_checksum_sees_every_flipped_bit(frame: Frame, bit: int) -> None:
     padded = frame.data.ljust(8, b"\0")
     flipped = (int.from_bytes(padded, "big") ^ 1 << bit).to_bytes(8, "big")
-    assert wire.checksum(frame.can_id, padded) != wire.checksum(frame.can_id, flipped)
+    assert checksum(frame.can_id, padded) != checksum(frame.can_id, flipped)
 
 
 @given(frames)
@@ -89,7 +89,6 @@ def test_unknown_control_frames_are_refused() -> None:
 
 def test_participants_have_the_numbers_of_the_contract() -> None:
     assert wire.PARTICIPANTS == {"plant": 1, "controller": 2, "driver": 3, "guest": 4}
-    assert wire.COORDINATOR == 0
 
 
 def test_every_refusal_has_words() -> None:
