@@ -12,6 +12,7 @@ import asyncio
 import functools
 import hmac
 import json
+import os
 import secrets
 import socket
 import threading
@@ -281,7 +282,8 @@ async def serve(shared: Bench, port: int, ready: Callable[[str], None]) -> None:
     try:
         listening = socket.create_server((HOST, port), backlog=MOST_CONNECTIONS)
     except OSError as error:
-        raise InputError(f"--port {port}: {error.strerror}; expected a free one, or 0") from None
+        why = os.strerror(error.errno or 0)
+        raise InputError(f"--port {port}: {why}; expected a free one, or 0") from None
     listening.setblocking(False)
     shared.port = listening.getsockname()[1]
     server = _Server(

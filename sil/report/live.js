@@ -220,13 +220,13 @@
       const x = 400 + mm * scale;
       parts.push(`<line x1="${x}" x2="${x}" y1="26" y2="98" stroke="${colour("grid")}" stroke-width="2"/>`, words(x, 18, name, 'class="faint"'));
     }
-    parts.push(words(70, 50, "true stay"), `<circle cx="${(400 + stay).toFixed(2)}" cy="46" r="12" fill="${colour("truth")}"/>`);
+    parts.push(words(110, 50, "true position"), `<circle cx="${(400 + stay).toFixed(2)}" cy="46" r="12" fill="${colour("truth")}"/>`);
     const estimate = at("estimate_mm");
-    parts.push(words(70, 88, "the firmware's"));
+    parts.push(words(110, 88, "controller's estimate"));
     if (estimate != null) parts.push(`<circle cx="${(400 + estimate * scale).toFixed(2)}" cy="84" r="12" fill="${colour("estimate")}"/>`);
     $("actuator").innerHTML = parts.join("");
     const late = estimate == null ? "unknown" : `${estimate.toFixed(2)} mm`;
-    const text = `true position ${at("stay_mm").toFixed(2)} mm, the firmware's estimate ${late}`;
+    const text = `true position ${at("stay_mm").toFixed(2)} mm, controller's estimate ${late}`;
     $("readout").textContent = text;
     if (!playing) $("actuator").setAttribute("aria-label", `At ${now.toFixed(1)} ms: ${text}`);
   }

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 PIXELS_PER_INCH = 80.0
 """Of a panel's height."""
 
+NOTE_POINTS = 13.0
+"""Height of the text of a note, with some room."""
+
 MOST_ZOOMS = 3
 """A picture shows this many parts of an axis side by side; a page has a button for each."""
 
@@ -45,6 +48,7 @@ def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = DOTS_PER_
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     drawing = draw(figure)
+    drawing.set_dpi(dots_per_inch)  # letters are not as wide at every resolution
     FigureCanvasAgg(drawing)
     layout: Any = drawing.get_layout_engine()
     layout.execute(drawing)
@@ -173,7 +177,15 @@ def _vertical(figure: Figure, columns: Sequence[_Column], column: _Column, row: 
     found = [v for c in alike for v in c.panels[row].heights(c.view)]
     low, high = (min(found), max(found)) if found else (0.0, 1.0)
     room = 0.06 * (high - low) or abs(low) / 10 or 1.0
-    return low - room, high + room
+    low, high = low - room, high + room
+    for note in panel.notes:  # a text stays inside of the panel
+        share = (abs(note.up) + NOTE_POINTS) / 72.0 * PIXELS_PER_INCH / panel.height
+        if note.up and share < 0.5 and column.view[0] <= note.x <= column.view[1]:
+            if note.up > 0.0:
+                high = max(high, low + (note.y - low) / (1.0 - share))
+            else:
+                low = min(low, high - (high - note.y) / (1.0 - share))
+    return low, high
 
 
 def _style(axes: Axes) -> None:
@@ -194,7 +206,7 @@ def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowe
         axes.set_xscale("log")
     axes.set_xlim(*view)
     low, high = limits
-    axes.set_ylim(low, high if high > low else low + 1.0)
+    axes.set_ylim(low, high if high != low else low + 1.0)
     _spans(axes, panel.spans, column.width)
     for band in panel.bands:
         look: dict[str, Any] = {"color": colour_of(band.role), "alpha": 0.15, "lw": 0}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -192,8 +193,12 @@ def _impact_notes(record: RunRecord, shift: Shift) -> list[Note]:
         return notes
     time, position = record.truth["time_s"], record.truth["position_m"]
     start, goal = np.interp([shift.requested_s, shift.arrived_s], time, position)
+    beyond = 7.0 if goal > start else -7.0
+    if worst is not None and abs(worst.position_m - start) < abs(worst.position_m - goal):
+        # at the start the other side has the name of the piston
+        notes = [replace(note, align="right", up=beyond) for note in notes]
     text = f"stop: {shift.impact_speed_m_s:.2f} m/s, {shift.impact_energy_j:.1f} J"
-    return [*notes, Note(shift.arrived_s * MS, goal * MM, text, up=7.0 if goal > start else -7.0)]
+    return [*notes, Note(shift.arrived_s * MS, goal * MM, text, up=beyond)]
 
 
 # --- valves -------------------------------------------------------------------------------------

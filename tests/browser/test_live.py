@@ -46,6 +46,7 @@ def test_a_shift_by_hand(browser: Any, live: Live) -> None:
     page = Page(browser, live.address)
     assert "token" not in browser.current_url and page.drawn()
     page.at(180.0)
+    assert "controller's estimate" in page.text("readout")
     true_mm, estimate_mm = map(float, re.findall(r"(-?\d+\.\d+) mm", page.text("readout")))
     assert true_mm < 12.0 and estimate_mm > true_mm + 0.5  # it learns of it later
     page.click("step")

@@ -6,8 +6,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
+from matplotlib.image import imread
 
-from sil.report.figure import Figure, Panel, Series, Stack, Zoom
+from sil.report.figure import Figure, Note, Panel, Series, Stack, Zoom
 from sil.report.picture import MOST_ZOOMS, draw, save
 from tests.unit.sil.report.test_figure import everything
 
@@ -45,6 +47,34 @@ def test_zooms_are_columns_below_an_overview() -> None:
     assert [a.get_xlim() for a in axes] == [(0.0, 10.0), (0.0, 1.0), (2.0, 3.0), (4.0, 5.0)]
     assert len(axes) == 1 + MOST_ZOOMS
     assert axes[1].get_ylim()[1] < 1.5 < axes[2].get_ylim()[0]  # each column its own scale
+
+
+@pytest.mark.parametrize("up", [7.0, -7.0])
+def test_a_note_on_a_line_at_the_edge_is_inside_of_the_panel(up: float) -> None:
+    x = np.array([0.0, 1.0])
+    panel = Panel(
+        "p", "m", [Series("a", x, x, "truth")], notes=[Note(0.5, float(up > 0), "n", up=up)]
+    )
+    drawing = draw(Figure([Stack("x", [panel])]))
+    drawing.draw_without_rendering()
+    (axes,) = drawing.axes
+    (text,) = axes.texts
+    box, outer = text.get_window_extent(), axes.bbox
+    assert outer.y0 <= box.y0 and box.y1 <= outer.y1
+
+
+def test_limits_that_fall_turn_the_axis_over() -> None:
+    panel = Panel("p", "", ticks=[(0.0, "first"), (3.0, "last")], limits=(3.6, -0.6))
+    (axes,) = draw(Figure([Stack("x", [panel])])).axes
+    assert axes.get_ylim() == (3.6, -0.6)
+
+
+def test_long_names_of_ticks_are_not_cut(tmp_path: Path) -> None:
+    ticks = [(float(k), 2 * "no filter, every 2.5 ms, opens in 2 ms, ") for k in range(9)]
+    panel = Panel("p", "", ticks=ticks, limits=(-0.6, 8.6))
+    save(Figure([Stack("x", [panel])]), tmp_path, "f")
+    image = imread(tmp_path / "f.png")
+    assert (image[:, :2] == image[0, 0]).all() and not (image[:, :20] == image[0, 0]).all()
 
 
 def test_the_same_scale_for_all_stacks_of_a_figure() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from can_dbc.messages import Gear
 from sil.recording.run_record import PlantEvent
@@ -48,6 +49,24 @@ def test_figure_of_a_shift() -> None:
     assert zoom.low == pytest.approx(80.0) and zoom.high == pytest.approx(235.5 + 25.0)
     texts = {text.get_text() for axes in draw(figure).axes for text in axes.texts}
     assert {"backward requested", "backward confirmed", "stop: 0.64 m/s, 0.2 J"} <= texts
+
+
+@pytest.mark.parametrize(
+    ("position_m", "look"), [(0.001, ("right", 7.0)), (0.012, ("center", -9.0))]
+)
+def test_the_hardest_impact_is_named_where_no_other_name_is(
+    position_m: float, look: tuple[str, float]
+) -> None:
+    record = made_run.made()
+    (shift,) = metrics.shifts(record, Gear.NEUTRAL)
+    own = {"time_s": 0.13, "name": "collar_1_contact", "position_m": position_m}
+    impact = metrics.Impact(**own, energy_j=0.3, peak_force_n=1000.0)
+    shift = replace(shift, impacts=[impact, *shift.impacts])
+    panels = run_figure(record, [shift]).stacks[0].panels
+    notes = {note.text: note for panel in panels for note in panel.notes}
+    found = notes["collar 1 contact: 0.30 J"]
+    assert (found.align, found.up) == look
+    assert notes["stop: 0.64 m/s, 0.2 J"].up == 7.0
 
 
 def test_the_picture_shows_the_lag_of_the_metrics() -> None:
