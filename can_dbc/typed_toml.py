@@ -174,18 +174,41 @@ def _own_problem(value: Any, kind: Any, steps: Steps) -> str | None:
 
 
 def _expected(what: str, kind: Any) -> str:
-    """Return what a type asks for, from msgspec's message; of tables also the keys."""
+    """Return what a type asks for, from msgspec's message; of tables and lists also what is in them."""
     if what == "Number out of range":
         return "a smaller number"
     expected = what.removeprefix("Expected ").split(", got ")[0].replace("`", "")
     for word, in_toml in _IN_TOML.items():
         expected = re.sub(rf"\b{word}\b", in_toml, expected)
     expected = expected.replace(" | ", " or ").strip()
-    if expected == "table" and (keys := ", ".join(field_types(kind))):
-        expected = f"a table with the keys {keys}"
-    if expected == "list" and (keys := ", ".join(field_types(child_type(kind, [], 0)))):
-        expected = f"a list of tables with the keys {keys}"
+    if expected.startswith(("table", "list")):
+        expected = f"a {expected}{_content(kind)}"
     return one_line(expected)
+
+
+def _content(kind: Any) -> str:
+    """Return what is in a table or list of a type: keys of records, else what each value is."""
+    plain = _plain(kind)
+    arguments = typing.get_args(plain)
+    if keys := field_types(plain):
+        return f" with the keys {', '.join(keys)}"
+    if typing.get_origin(plain) is tuple and Ellipsis not in arguments:
+        return f": {', '.join(map(_asked, arguments))}"
+    inner = arguments[-1] if typing.get_origin(plain) is dict else child_type(kind, [], 0)
+    if keys := field_types(inner):
+        return f" of tables with the keys {', '.join(keys)}"
+    return f", each value: {asked}" if (asked := _asked(inner)) else ""
+
+
+def _asked(kind: Any) -> str:
+    """Return what a type asks for, empty if that is nothing."""
+    if choices := _choices(kind):
+        return f"one of {', '.join(choices)}"
+    try:
+        msgspec.convert(_NOTHING, kind)
+    except msgspec.ValidationError as error:
+        return _expected(str(error), kind)
+    return ""
 
 
 def _wrong(steps: Steps, what: str, name: str, known: Iterable[str]) -> str:
@@ -193,15 +216,7 @@ def _wrong(steps: Steps, what: str, name: str, known: Iterable[str]) -> str:
 
 
 def _missing(steps: Steps, kind: Any) -> str:
-    expected = "a value"
-    if choices := _choices(kind):
-        expected = f"one of {', '.join(choices)}"
-    else:
-        try:
-            msgspec.convert(_NOTHING, kind)
-        except msgspec.ValidationError as error:
-            expected = _expected(str(error), kind)
-    return f"{_location(steps)}: missing; expected {expected}"
+    return f"{_location(steps)}: missing; expected {_asked(kind) or 'a value'}"
 
 
 def _location(steps: Steps) -> str:

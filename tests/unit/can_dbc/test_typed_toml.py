@@ -44,6 +44,9 @@ class File(Struct, forbid_unknown_fields=True):
     rate: Literal[125000, 250000] = 125000
     other: Open | None = None
     size: float = 0.0
+    gears: list[Literal["neutral", "backward"]] = []
+    points: Annotated[list[tuple[float, float]], Meta(min_length=1)] | None = None
+    free: dict[str, Any] = {}
 
 
 @pytest.mark.parametrize(
@@ -74,7 +77,16 @@ class File(Struct, forbid_unknown_fields=True):
         ({"checked": {"low": 2}}, "checked: two; expected another"),
         ({"checked": 3}, "checked: 3 is wrong; expected a table with the keys low"),
         ({"pair": [1.0, 2]}, "pair[1]: 2 is wrong; expected text"),
-        ({"pair": [1.0]}, "pair: [1.0] is wrong; expected list of length 2"),
+        ({"pair": [1.0]}, "pair: [1.0] is wrong; expected a list of length 2: number, text"),
+        ({"pair": 1}, "pair: 1 is wrong; expected a list: number, text"),
+        ({"any_name": 1}, "any_name: 1 is wrong; expected a table, each value: whole number"),
+        ({"gears": 1}, "gears: 1 is wrong; expected a list, each value: one of neutral, backward"),
+        (
+            {"points": []},
+            "points: [] is wrong; expected a list of length >= 1, each value: a list: num",
+        ),
+        ({"points": [3]}, "points[0]: 3 is wrong; expected a list: number, number"),
+        ({"free": 1}, "free: 1 is wrong; expected a table"),
         ({"limits": {"c": 1.0}}, "limits.c: unknown; expected one of a, b"),
         ({"any_name": {"x": 1, "y": "z"}}, "any_name.y: 'z' is wrong; expected whole number"),
         ({"rate": 300000}, "rate: 300000 is unknown; expected one of"),
