@@ -11,17 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
 from sil.diagnosis.noise import estimated_noise
-from sil.diagnosis.phases import runs
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel, channel_parts
 from sil.fitting.observations import StrokeObservation, kind_of, nominal_noise, observe
+from sil.recording.runs import longest_run
 
 LEAST_DURATION_S = 0.02
 FEWEST_SAMPLES = 16
@@ -202,11 +201,6 @@ def _check_pressure(
         text = f"{SATURATED} at {high:.6g} Pa ({share:.1%}); left out there"
         return [Finding(entry.file, name, text)]
     return []
-
-
-def longest_run(flags: NDArray[np.bool_]) -> int:
-    """Return the length of the longest run of true values in flags [n]."""
-    return max((last - first + 1 for first, last in runs(flags)), default=0)
 
 
 LENGTHS = ((1e3, "millimetres"), (1e2, "centimetres"), (39.37, "inches"), (1e6, "micrometres"))

@@ -86,10 +86,7 @@ def estimated_noise(
         except IntegrationError:
             continue
         for channel in stroke.channels:
-            if channel.kind == "oil":
-                predicted = stroke.oil_pressure_pa(states, stroke.setup)[channel.rows]
-            else:
-                predicted = states[channel.rows, channel.state]
+            predicted = stroke.predicted(channel, states, stroke.setup)
             smooth = np.abs(np.diff(predicted, ORDER)) < 0.5 * nominal[channel.kind].sd
             moved = np.diff(channel.measured - predicted, ORDER)[smooth]
             found.setdefault(channel.name, []).append(np.abs(moved))

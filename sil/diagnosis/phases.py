@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from plant.effects.setup import Setup
 from plant.kernel.layout import FIXED, FixedState, LengthState
 from sil.campaign.campaign import Floats
+from sil.recording.runs import true_runs
 
 PHASES = (
     "rest",
@@ -59,19 +60,12 @@ def phases(time_s: Floats, states: Floats, setup: Setup) -> NDArray[np.int64]:
     out[pistons & ~stay & (time_s < vent_s)] = number["walk"]
     out[stay] = number["motion"]
     out[stay & (time_s >= vent_s)] = number["return"]
-    for first, last in runs(stay):
+    for first, beyond in true_runs(stay):
         walked = first > 0 and pistons[first - 1]
         start = (time_s >= time_s[first]) & (time_s < time_s[first] + EDGE_S) & stay
         if time_s[first] < vent_s:
             out[start] = number["contact" if walked else "breakaway"]
-        if last + 1 < len(time_s):
-            end = time_s[last]
+        if beyond < len(time_s):
+            end = time_s[beyond - 1]
             out[(time_s > end - 0.5 * EDGE_S) & (time_s <= end + EDGE_S)] = number["impact"]
     return out
-
-
-def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and last index of every run of true values in flags [n]."""
-    edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    return [(int(a), int(b)) for a, b in zip(begins, ends, strict=True)]

@@ -151,10 +151,7 @@ class CampaignModel:
         out = np.empty(stroke.total)
         begin = 0
         for channel in stroke.channels:
-            if channel.kind == "oil":
-                values = stroke.oil_pressure_pa(states, setup)[channel.rows]
-            else:
-                values = states[channel.rows, channel.state]
+            values = stroke.predicted(channel, states, setup)
             end = begin + len(values)
             np.divide(values, channel.sd, out=out[begin:end])
             begin = end

@@ -85,15 +85,17 @@ class StrokeObservation:
         """How many numbers are compared, the control unit's positions included."""
         return self.size + (0 if self.internal is None else len(self.internal.values_m))
 
-    def oil_pressure_pa(self, states: Floats, setup: Setup) -> Floats:
-        """Absolute pressure of the damper's chamber two by the model in force [Pa]."""
-        fixed = self.conditions.system == FIXED
-        if self.conditions.damper_model != "incompressible":
-            return np.asarray(states[:, FixedState.p_oil if fixed else LengthState.p_oil])
+    def predicted(self, channel: Channel, states: Floats, setup: Setup) -> Floats:
+        """Return what a channel shows of the states [instants, states], [n] in SI units.
+
+        The pressure of the damper's chamber two is that of the model in force.
+        """
+        if channel.kind != "oil" or self.conditions.damper_model != "incompressible":
+            return np.asarray(states[channel.rows, channel.state])
         out = np.zeros(len(states))
         position = np.ascontiguousarray(states[:, 0])
         steady_oil_pressure(position, np.ascontiguousarray(states[:, 1]), setup.p.array, out)
-        return out
+        return out[channel.rows]
 
 
 def observe(

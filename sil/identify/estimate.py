@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.parameters import Parameter, ParameterSet
 from sil.fitting.floor import EXPLAINED
 from sil.fitting.model_file import model_file
 from sil.report.figure import Figure
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,14 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from can_dbc.frame import split_id
+from can_dbc.messages import GEAR_PARK
 from sil.j1939.engine import PGN_EEC1, EngineFigures, EngineTrace
 from sil.j1939.gear_history import PGN_ETC2, SETTLE_NS, GearHistory
 from sil.j1939.shift_flag import PGN_ETC1, FlagTracker
 from sil.logs.frame import LogFrame
 from sil.logs.times import format_ns
 
-_GEAR_NAMES: Final = {0: "N", 126: "P"}
+_GEAR_NAMES: Final = {0: "N", GEAR_PARK: "P"}
 RATIO_TOLERANCE: Final = 0.05
 _MOST_NOTES: Final = 20
 _GATEWAY_NS: Final = 100_000_000

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.messages import ControllerStatus, Fault
+from can_dbc.messages import GEAR_PARK, ControllerStatus, Fault
 from sil.log_replay.truck_shift import SYNCHRONISED_RAD_S, RecordedShift, peak_rate
 from sil.report.figure import Floats
 from sil.simulation import load_scenario
@@ -28,7 +28,6 @@ REQUEST_S: Final = 0.4
 ALIGNED: Final = "as the gear is left"
 LONGEST_RUN_S: Final = 8.0
 _SETTLED_S: Final = 2.6
-PARK: Final = 126
 
 PULL_N, MESH_N = 100.0, 500.0
 """Forces of teeth without torque, and of meshing: those of the scenarios truck_*_easy."""
@@ -75,7 +74,7 @@ def why_not(recorded: RecordedShift) -> str | None:
     before, after = recorded.shift.from_gear, recorded.shift.to_gear
     if before is None or after is None:
         return "the gears are not known"
-    if PARK in (before, after):
+    if GEAR_PARK in (before, after):
         return "park is no position of the actuator"
     return "the gear is the same before and after" if before == after else None
 

@@ -21,6 +21,7 @@ from can_dbc.messages import (
 from sil.coupling.clock import NS_PER_S
 from sil.recording.interpolation import hermite, monotone_slopes
 from sil.recording.run_record import CHAMBERS, Floats, M, PlantEvent, RunRecord
+from sil.recording.runs import true_runs
 from sil.simulation.impacts import HOLD_S, PICK_UP, counted, worst_speed_m_s
 
 ARRIVED_WITHIN_M = 5e-5
@@ -264,8 +265,7 @@ def _arrival(
     t: Floats, at_stop: NDArray[np.bool_], events: Sequence[PlantEvent], goal_m: float
 ) -> float | None:
     """Return when the stay arrives to remain at its stop, from samples [n] at times t in s."""
-    changes = np.flatnonzero(np.diff(at_stop.astype(np.int8), prepend=0, append=0))
-    for begin, end in changes.reshape(-1, 2):
+    for begin, end in true_runs(at_stop):
         if end == len(t) or t[end - 1] - t[begin] >= HOLD_S:
             stop = _stop_event(events, t[max(begin - 1, 0)], t[end - 1], goal_m)
             return float(t[begin]) if stop is None else stop.time_s

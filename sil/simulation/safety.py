@@ -29,6 +29,7 @@ from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveComma
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.faults import BusOff, Dead, Delay, Stalled
 from sil.recording.run_record import CHAMBERS, BusFrame, RunRecord
+from sil.recording.runs import longest_run
 from sil.simulation.metrics import OPEN_ABOVE, gear_at, gear_position_m
 from sil.simulation.scenario import FAULT_TABLES, Scenario
 
@@ -191,12 +192,6 @@ def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
         goal = gear_position_m(message.confirmed, record.stroke_m)
         wrong[low:high] = np.abs(position[low:high] - goal) > 2.0 * width
     return longest_run(wrong) * float(np.median(np.diff(time_s)))
-
-
-def longest_run(flags: np.ndarray) -> int:
-    """Return the length of the longest unbroken run of True in flags [n], in samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def sight_s(scenario: Scenario) -> float:

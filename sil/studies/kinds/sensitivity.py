@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from can_dbc.errors import InputError, RunError
 from plant.errors import IntegrationError
 from plant.parameters import Number, ParameterSet, load
+from sil.recording.runs import true_runs
 from sil.report.figure import Figure, Panel, Rule, Span, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load as load_scenario
@@ -278,8 +279,7 @@ def holds(values: Floats, margins: Floats) -> str:
     if good.all() or not good.any():
         return "always" if good.all() else "never"
     parts = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
-    for begin, end in edges.reshape(-1, 2):
+    for begin, end in true_runs(good):
         parts.append(f"{x[begin]:g}" if end == begin + 1 else f"{x[begin]:g} to {x[end - 1]:g}")
     return ", ".join(parts)
 

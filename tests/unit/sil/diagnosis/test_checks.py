@@ -12,7 +12,7 @@ from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.campaign.campaign import CampaignStroke, Record, load_campaign
 from sil.cli import main
-from sil.diagnosis.checks import check_record, longest_run, observed, time_shift
+from sil.diagnosis.checks import check_record, observed, time_shift
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
 ENTRY = CampaignStroke("stroke_001.csv", "fixed", conditions_of("fixed", 900000.0))
@@ -90,11 +90,6 @@ def test_saturation_is_a_finding(clean) -> None:
     found = checked(changed)
     assert [item.channel for item in found] == ["pressure_1_pa"]
     assert "saturated" in str(found[0])
-
-
-def test_longest_run() -> None:
-    assert longest_run(np.array([False, True, True, False, True])) == 2
-    assert longest_run(np.zeros(3, dtype=bool)) == 0
 
 
 @pytest.mark.parametrize("shift", [-0.01, 0.004])

@@ -7,7 +7,7 @@ import numpy as np
 from plant.batch.prediction import Predictor
 from plant.parameters import load
 from plant.systems.setup import make_setup
-from sil.diagnosis.phases import PHASES, phases, runs
+from sil.diagnosis.phases import PHASES, phases
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
 TIME_S = np.arange(1, 3000) * 1e-4
@@ -34,8 +34,3 @@ def test_in_the_length_stroke_a_piston_walks_first() -> None:
     found = order(of("B-N"))
     assert "walk" in found and "contact" in found
     assert found.index("walk") < found.index("contact")
-
-
-def test_runs() -> None:
-    assert runs(np.array([True, False, True, True])) == [(0, 0), (2, 3)]
-    assert runs(np.zeros(2, dtype=bool)) == []

@@ -65,12 +65,6 @@ def test_a_report_of_a_gear_the_stay_is_not_in_is_found() -> None:
     assert safety.false_gear_s(fooled, loaded.scenario) > 0.3
 
 
-def test_longest_run() -> None:
-    assert safety.longest_run(np.array([False, True, True, False, True])) == 2
-    assert safety.longest_run(np.array([True, True, True])) == 3
-    assert safety.longest_run(np.zeros(4, dtype=bool)) == 0
-
-
 def test_a_coil_on_while_no_command_arrives_is_an_orphan() -> None:
     loaded = from_table(base("N-B"), "test")
     record = run_in_memory(loaded).record
