@@ -147,8 +147,8 @@ def load(model: str | Path = "nominal", based_on: tuple[str, ...] = ()) -> Param
         path = Path(__file__).parent / f"{text}.toml"
         if text not in shipped():
             raise InputError(
-                f"model {text!r}: no such parameter set; shipped: {', '.join(shipped())}, "
-                "or give the path of a .toml file"
+                f"model {text!r}: no such parameter set; expected {', '.join(shipped())}, "
+                "or the path of a .toml file"
             )
     if (real := os.path.realpath(path)) in based_on:
         raise InputError(

@@ -67,6 +67,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         for kind, expected in (("int", "a whole number"), ("float", "a number")):
             message = re.sub(f"invalid {kind} value: (.*)", rf"\1; expected {expected}", message)
+        message = re.sub(r"invalid choice: (.*) \(choose from (.*)\)", r"\1; expected \2", message)
         raise _UsageError(f"{_shortened(message)}; see {self.prog} --help")
 
 

@@ -60,8 +60,9 @@ def run(arguments: argparse.Namespace) -> int:
     layout = arguments.map, arguments.dbc
     mapping = SignalMapping(*layout) if any(layout) else None
     out = arguments.out or Path("runs") / f"{Path(arguments.target[0]).resolve().stem}-watch"
+    parameters, is_new = load_actuator(arguments.model), not out.exists()
     with locked_folder(out) as folder:
-        watch = Watch(folder / STORE, load_actuator(arguments.model), mapping)
+        watch = Watch(folder / STORE, parameters, mapping)
         try:
             with Progress("watching", "logs") as progress:
                 found = watch.take(files, progress)
@@ -71,6 +72,11 @@ def run(arguments: argparse.Namespace) -> int:
                     raise InputError(f"--limit {name}: {unknown_name(name, sorted(known))}")
             again = shlex.join(["opc4", *sys.argv[1:]])
             values = finite(write_watch(list(watch.trucks()), limits, folder, again))
+        except InputError:
+            if is_new and not list(watch.trucks()):
+                (folder / STORE).unlink()
+                folder.rmdir()
+            raise
         finally:
             watch.close()
     if arguments.json:

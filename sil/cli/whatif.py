@@ -26,6 +26,7 @@ ARGUMENTS = (
     argument("--workers", "processes (default 1)", "N", type=int, default=1),
     argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
     argument("--resume", "continue the sweep in DIR"),
+    argument("--model", "parameter set or model file [the study's]", "MODEL"),
     *(EFFECTS, *out("runs/STUDY-N"), JSON),
 )
 
@@ -55,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no STUDY; expected a file or a shipped name, see opc4 whatif --list")
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
-    study = load_study(arguments.study, arguments.effects)
+    study = load_study(arguments.study, arguments.effects, arguments.model)
     folder = _folder(study, arguments)
     with Progress("rows") as progress:
         now = run_study(
@@ -69,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     table = read_table(study, folder)
     found = summary(study, table)
     files = [word for file in arguments.effects for word in ("--effects", file)]
+    files += [] if arguments.model is None else ["--model", arguments.model]
     again = shlex.join(["opc4", "whatif", arguments.study, *files])
     write_atomically(folder / "summary.json", json.dumps(finite(found), indent=1) + "\n")
     for name, text in more_files(study, table):

@@ -140,7 +140,7 @@ def _described(path: Path, line: int, error: BaseException) -> str:
         file, line = calls[-1].filename, calls[-1].lineno or line
     text = str(error)
     if isinstance(error, SyntaxError) and error.filename == file:
-        line, text = error.lineno or line, error.msg
+        line, text = error.lineno or line, f"{error.msg}; expected valid Python"
     text = " ".join(text.split())
     return f"{file}:{line}: {type(error).__name__}" + (f": {text}" if text else "")
 

@@ -11,6 +11,7 @@ from msgspec import structs
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
+from plant.parameters import load as load_parameters
 from sil.simulation import load_scenario
 from sil.studies.assumptions import LEAST
 from sil.studies.fleet import FleetTable
@@ -35,8 +36,10 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
 
 
-def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
-    """Read a study file, or a shipped study by name; `effects`: files of a user's own effects.
+def load_study(where: str, effects: Sequence[str] = (), model: str | None = None) -> LoadedStudy:
+    """Read a study file, or a shipped study by name.
+
+    effects: files of a user's own effects; model: parameter set or model file instead of the study's.
 
     Raises InputError with file, location, what is wrong and what was expected.
     """
@@ -48,14 +51,24 @@ def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
             name = typed_toml.one_line(where)
             if path.is_file():
                 raise InputError(f"{name}: not a study file; expected a name that ends in .toml")
-            raise InputError(f"study {name!r}: no such study; nearest: {', '.join(near)}")
+            raise InputError(
+                f"study {name!r}: no such study; expected one of {', '.join(near)}, ..."
+            )
         path = known[where]
     study = typed_toml.convert(typed_toml.read_toml(path), Study, str(path))
+    if model is not None:
+        study = structs.replace(study, model=model)
     files = [str(path.parent / file) for file in study.effects] + list(effects)
     if files:
         from plant.effects.user_file import load_effects
 
         study = structs.replace(study, effects=[load_effects(file) for file in files])
+    try:
+        load_parameters(study.model)
+    except InputError as error:
+        raise InputError(
+            f"{path}: model: {error}" if model is None else f"--model: {error}"
+        ) from None
     if study.kind == "learned" and study.truck is None:
         shipped_one = load_study("learned").study
         study = structs.replace(study, truck=shipped_one.truck, factor=shipped_one.factor)

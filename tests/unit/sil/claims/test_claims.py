@@ -25,7 +25,7 @@ def test_every_number_from_1_to_64_has_a_row() -> None:
 
 
 def test_unknown_claim_names_the_nearest() -> None:
-    with pytest.raises(InputError, match=r"F99.*nearest: F"):
+    with pytest.raises(InputError, match=r"F99.*expected one of F"):
         chosen(["F99"])
 
 

@@ -62,6 +62,9 @@ def test_bad_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["run", "lab_n_b", "--forc"]) == 2
     output = capsys.readouterr().err.splitlines()
     assert len(output) == 2 and "opc4 run --list" in output[0] and "--help" in output[1]
+    assert cli.main(["fmu", "plnt", "a.fmu"]) == 2
+    found = "opc4 fmu: argument what: 'plnt'; expected 'plant', 'controller'; see opc4 fmu --help\n"
+    assert capsys.readouterr().err == found
 
 
 @pytest.mark.parametrize("words", [["run", "lab_n_b", "--forc"], ["diagnose"], ["rnu"], []])

@@ -62,6 +62,19 @@ def test_a_wrong_option_is_one_line(
     assert line in said
 
 
+@pytest.mark.parametrize("model", ["nominal", "nominl"])
+def test_watch_leaves_no_folder_where_nothing_was_taken(
+    model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out = tmp_path / "bus.log", tmp_path / "out"
+    log.write_text(LOG)
+    words = ["watch", str(log), "--model", model, "--out", str(out)]
+    assert cli.main(words) == 2
+    assert capsys.readouterr().err.count("\n") == 1 and not out.exists()
+    out.mkdir()
+    assert cli.main(words) == 2 and out.is_dir()
+
+
 def test_a_folder_that_holds_a_run_is_refused_before_logs_are_judged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -45,6 +45,33 @@ def test_a_failed_row_has_its_reason_and_ends_with_1(tmp_path: Path, capsys: Any
     assert f"1 failed: {failed['reason']} (row 0)" in capsys.readouterr().out
 
 
+def test_a_model_replaces_that_of_the_study(tmp_path: Path, capsys: Any) -> None:
+    path, model = study(tmp_path, "900000.0"), tmp_path / "slow.toml"
+    model.write_text(
+        '[base]\nmodel = "nominal"\n[valve]\nD_rise = { value = 0.02, unit = "s", source = "test" }\n'
+    )
+    times = []
+    for name, words in (("own", []), ("slow", ["--model", str(model)])):
+        assert main(["whatif", path, "--out", str(tmp_path / name), *words]) == 0
+        with open(tmp_path / name / "results.csv", newline="") as file:
+            times += [float(row["shift_time_s"]) for row in csv.DictReader(file)]
+    assert times[1] == pytest.approx(times[0] + 0.012, abs=1e-4)
+    assert f"--model {model}" in (tmp_path / "slow" / "report.html").read_text()
+    capsys.readouterr()
+    assert main(["whatif", path, "--out", str(tmp_path / "none"), "--model", "nominl"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("opc4 whatif: --model: model 'nominl': no such parameter set; expected")
+    assert not (tmp_path / "none").exists()
+    with open(path, "r+", encoding="utf-8") as file:
+        text = file.read()
+        file.seek(0)
+        file.write('model = "none.toml"\n' + text)
+    assert main(["whatif", path, "--out", str(tmp_path / "none")]) == 2
+    assert capsys.readouterr().err == (
+        f"opc4 whatif: {path}: model: none.toml: no such file; expected a TOML file\n"
+    )
+
+
 FIRMWARE = """
 import os
 import sys

@@ -218,7 +218,7 @@ def test_model_file_and_seed(tmp_path: Path) -> None:
     loaded = load(tmp_path, GOOD, model=str(model), seed=9)
     assert loaded.parameters.value("valve.D_fall") == 0.01
     assert loaded.scenario.seed == 9
-    assert "no such parameter set" in refused(tmp_path, GOOD, model="nominl")
+    assert "no such parameter set; expected nominal" in refused(tmp_path, GOOD, model="nominl")
     assert refused(tmp_path, GOOD, seed=-1).startswith("--seed: seed: -1 is wrong")
     assert refused(tmp_path, GOOD, model="no").startswith("--model: model 'no': no such")
     near = load(tmp_path, 'model_set = "m.toml"\n' + GOOD)
