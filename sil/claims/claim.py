@@ -72,7 +72,9 @@ def chosen(names: Iterable[str]) -> list[Claim]:
     for name in wanted:
         if name not in known:
             near = nearest(name, known, cutoff=0.3) or list(known)[:3]
-            raise InputError(f"claim {name!r}: no such claim; expected one of {', '.join(near)}, ...")
+            raise InputError(
+                f"claim {name!r}: no such claim; expected one of {', '.join(near)}, ..."
+            )
     return [known[name] for name in wanted] or list(known.values())
 
 
