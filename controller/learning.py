@@ -103,6 +103,8 @@ class Correction(abc.ABC):
     """The numbers of a unit that has learned nothing."""
     largest: ClassVar[tuple[float, ...]]
     """No number is further from zero than this."""
+    least: ClassVar[Mapping[int, float]] = {}
+    """Numbers, by their index, that are not below this."""
 
     def __init__(self) -> None:
         self.shifts = 0
@@ -187,7 +189,8 @@ class Correction(abc.ABC):
         if not 0.0 <= surprise <= OUTLYING:
             return
         pairs = zip(values, self.largest, strict=True)
-        if all(isfinite(value) and abs(value) <= most for value, most in pairs):
+        low = any(values[k] < least for k, least in self.least.items())
+        if not low and all(isfinite(value) and abs(value) <= most for value, most in pairs):
             self.shifts, self.plain, self.outliers = shifts, plain, outliers
             self.surprise = surprise
             self.values = list(values)
@@ -211,6 +214,8 @@ class Sensitivities(Correction):
     fresh = (0.0, 0.0, 0.015, 0.0, 0.0, *_diagonal(0.065, 0.065, 0.007, 0.0006, 0.003), 0.0)
     fresh += (0.0, UNKNOWN_MESH**2) * 2
     largest = (0.5, 0.5, 0.2, 0.02, 0.02, *(1.0,) * 25, 20.0, *(1.0,) * 4)
+    least: ClassVar[Mapping[int, float]] = {3: -0.002}
+    """A valve of 8 ms cannot open much sooner: what is more is the age of the speeds."""
     mesh_drift = 0.002**2
     drift = (0.0045**2, 0.0045**2, 0.0003**2, 0.00005**2, 0.0)
     again = (0.03**2, 0.03**2, 0.003**2, 0.002**2, 0.0)
@@ -247,7 +252,8 @@ class Sensitivities(Correction):
         ]
         for k in range(5):
             moved = self.values[k] + of[k] / total * error_s
-            self.values[k] = min(max(moved, -self.largest[k]), self.largest[k])
+            lowest = self.least.get(k, -self.largest[k])
+            self.values[k] = min(max(moved, lowest), self.largest[k])
             for j in range(5):
                 self.values[5 + 5 * k + j] -= of[k] * of[j] / total
         leans = self.forgets * self.values[30] + error_s / sqrt(total)

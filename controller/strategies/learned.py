@@ -68,6 +68,9 @@ each again without the programme)."""
 STALLED_S = 0.04
 """From release to arrival; after a programme it is 24 ms at most in 20 healthy trucks (725 shifts). What is
 more counts as an error of the release: the stay was stopped at the teeth, as by a valve that failed."""
+OFF_M = 0.0008
+"""Position before the stay moves, from neutral, from which on the sensor or its temperature is wrong: by
+16 K, five times the scatter of a thermometer."""
 LONGEST_S = 1e9
 SURPRISED = 1.9
 """Mean square of the latest errors, by what was expected of them, from which on every push is plain:
@@ -95,9 +98,9 @@ class Learned(IntoGear):
 
     Expected is the release of the table for speed difference and supply pressure, moved by what
     earlier shifts taught; while the synchronizer works, the fall of the difference corrects it until
-    the programme begins. Afterwards the release that was measured teaches the next shift. Without
-    valid speeds, with air left in the neutral chamber, and after a fault it is the open loop.
-    At most 100 operations a step, 300 after a shift. Assumes an engine without torque meanwhile.
+    the programme begins, and ends it if the synchronizer hardly works. Afterwards the measured release
+    teaches the next shift. Without valid speeds or position, with air left in neutral, and after a
+    fault it is the open loop. At most 100 operations a step, 300 after a shift. Assumes no torque.
     """
 
     class Parameters(IntoGearParameters, frozen=True):
@@ -141,6 +144,7 @@ class Learned(IntoGear):
         super().__init__(config, parameters)
         self.correction: Correction = METHODS[self.parameters.method]()
         self._library = library()
+        self._scatter = self.parameters.scatter * self.parameters.scatter
         self.reset()
 
     def recall(self, memory: bytes) -> None:
@@ -156,6 +160,7 @@ class Learned(IntoGear):
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
+        self._broken_off, self._has_ended = False, False
         self._careful, self._strong = False, LEVELS
         self._tables: Nearby
         self._close_s, self._cold, self._drag, self._late_s = 0.0, 0.0, 0.0, 0.0
@@ -213,8 +218,8 @@ class Learned(IntoGear):
             self._plain = True
         elif progress.apart_s > self._reported_s:
             self._reported_s = progress.apart_s
-            self._note(progress.spent_s, progress.apart_s, progress.apart_rad_s)
-        if self._plain or self._waits or self._expected is None:
+            self._note(progress, progress.apart_rad_s)
+        if self._plain or self._waits or self._broken_off or self._expected is None:
             return PUSH
         step = round(progress.spent_s / self.config.period_s)
         if self._programme is None:
@@ -258,11 +263,12 @@ class Learned(IntoGear):
         careful = delay_s <= SLOWEST_S and expected.variance <= expected.limit
         return CAREFUL if careful and self._careful else None
 
-    def _note(self, spent_s: float, apart_s: float, apart_rad_s: float) -> None:
+    def _note(self, progress: Progress, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""
-        if spent_s <= self.parameters.still_s:
+        if progress.spent_s <= self.parameters.still_s:
             before_rad_s = self._last_rad_s
-            if before_rad_s is not None and abs(apart_rad_s - before_rad_s) > UNSTEADY_RAD_S:
+            jumps = before_rad_s is not None and abs(apart_rad_s - before_rad_s) > UNSTEADY_RAD_S
+            if jumps or abs(progress.travelled_m) > OFF_M:
                 self._plain = True
             self._last_rad_s = apart_rad_s
             self._sum_rad_s += apart_rad_s
@@ -274,11 +280,13 @@ class Learned(IntoGear):
             if before_rad_s < 4.0 * REPORT_RAD_S:
                 self._plain = True
                 return
-            at_s = apart_s - self._expected.age_s
+            at_s = progress.apart_s - self._expected.age_s
             if not self._release.speeds(at_s, apart_rad_s, before_rad_s):
                 self._plain = True
             if at_s < self._undisturbed_s:
-                self._follow(self._expected, apart_s, 1.0 - apart_rad_s / before_rad_s)
+                self._follow(self._expected, at_s, 1.0 - apart_rad_s / before_rad_s)
+            elif self._release.has_stopped(before_rad_s):
+                self._broken_off = True
 
     def _expect(self, before_rad_s: float) -> None:
         """Compute when the plain push would be released, from the speeds before it."""
@@ -288,7 +296,7 @@ class Learned(IntoGear):
         log_impulse = log(max(own.impulse_per_rad_s * before_rad_s, 1.0))
         release_s, slope_s, share = tables.release(log_impulse)
         noise = REPORT_RAD_S / max(before_rad_s, REPORT_RAD_S)
-        scatter = sqrt(own.scatter * own.scatter + noise * noise / self._count)
+        scatter = sqrt(self._scatter + noise * noise / self._count)
         share = min(max(share, 0.0), 1.0)
         context = Context(self._direction, slope_s, share, self._drag, scatter)
         offset = self.correction.offset(context)
@@ -299,7 +307,7 @@ class Learned(IntoGear):
         limit, variance = unit_s * unit_s, offset.variance
         self._expected = Expected(context, prior_s, prior_s, age_s, offset, variance, limit)
 
-    def _follow(self, expected: Expected, apart_s: float, given: float) -> None:
+    def _follow(self, expected: Expected, at_s: float, given: float) -> None:
         """Correct the expected release by the share of the impulse that has been `given`.
 
         Until the programme acts, the impulse grows as under the plain push. One table is enough:
@@ -312,7 +320,7 @@ class Learned(IntoGear):
         offset = expected.offset
         delay_s = offset.delay_s + self._late_s
         table = self._tables.nearest
-        spent, rate_s = table.spent(apart_s - expected.age_s - delay_s)
+        spent, rate_s = table.spent(at_s - delay_s)
         found_s = table.release(spent - log(given))[0] + delay_s
         noise = REPORT_RAD_S * self._count / (given * self._sum_rad_s)
         timing = (TIMING_S * TIMING_S + offset.timing) / (rate_s * rate_s)
@@ -324,7 +332,9 @@ class Learned(IntoGear):
         if not is_measured and (later_s < 0.0 or not unlikely):
             return
         self._found = found_s, variance
-        if self._programme is None:
+        if self._programme is not None:
+            self._broken_off = self._broken_off or (unlikely and later_s > 0.0)
+        else:
             weight = offset.variance / total
             self._expected = expected._replace(
                 used_s=expected.prior_s + weight * later_s,
@@ -333,10 +343,10 @@ class Learned(IntoGear):
 
     def ended(self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool) -> None:
         """Compare the release with what was expected, and pass the difference to the method."""
-        correction, expected = self.correction, self._expected
-        release = self._release
-        # speeds that still differ in gear are wrong
-        if release.is_open or not (confirmed and healthy):
+        correction, expected, release = self.correction, self._expected, self._release
+        # speeds that still differ in gear are wrong, as is a position that confirmed it before
+        slipped, self._has_ended = self._has_ended, True
+        if release.is_open or slipped or not (confirmed and healthy):
             correction.plain = self.parameters.plain_pushes
             return
         correction.shifts = min(correction.shifts + 1, 0xFFFFFFFF)
@@ -348,7 +358,7 @@ class Learned(IntoGear):
             error_s += max(travel_s - STALLED_S, 0.0)
         total = expected.offset.measured + variance
         limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(total))
-        is_outlier = abs(error_s) > limit_s
+        is_outlier = self._broken_off or abs(error_s) > limit_s
         correction.note(error_s, total, is_outlier)
         if is_outlier:
             correction.plain = self.parameters.plain_pushes

@@ -46,14 +46,16 @@ def push(
     healthy: bool = True,
     confirmed: bool = True,
     first_rad_s: float = 0.0,
+    rest_m: float = 0.0,
+    begin_ms: int = 60,
     **shift: Any,
 ) -> list[Duties]:
     """Push with a synchronizer that takes `friction` times the impulse that its speeds call for.
 
-    The speeds fall as the table has it; they are lost from `lost_ms` on.
+    The speeds fall as the table has it from `begin_ms` on, and are lost from `lost_ms` on.
     """
     strategy.reset()
-    before_rad_s = impulse_n_s / PER_RAD_S
+    before_rad_s, needed_n_s = impulse_n_s / PER_RAD_S, friction * impulse_n_s + 1e-9
     start_ns, position_m = 10**9, 0.0
     given: list[Duties] = []
     context = ShiftContext(
@@ -65,11 +67,11 @@ def push(
         if acted is not None and at_s > strategy._undisturbed_s:
             later_s = acted.released_s - acted.plain_s
             at_s = max(at_s - later_s, strategy._undisturbed_s)
-        share = exp(TABLE.spent(at_s)[0]) / (friction * impulse_n_s + 1e-9) if ms > 60 else 0.0
+        share = exp(TABLE.spent(at_s)[0]) / needed_n_s if ms > begin_ms else 0.0
         apart_rad_s = before_rad_s * max(0.0, 1.0 - share) if ms < lost_ms else None
         if ms == 0 and apart_rad_s is not None:
             apart_rad_s += first_rad_s
-        position_m = 0.012 if share > 1.0 else 0.005
+        position_m = 0.012 if share > 1.0 else rest_m if ms < 60 else 0.005
         estimate = Estimate(
             True, position_m, position_m, 0.0, (Sample(position_m, position_m, 0.0),)
         )
@@ -356,6 +358,7 @@ def test_two_stops_at_the_teeth_after_a_programme_make_many_pushes_plain() -> No
     arrived = Estimate(True, 0.012, 0.012, 0.0, ())
     for travel_s, plain_pushes in ((0.03, 0), (0.2, 2), (0.2, 2)):
         strategy._release.arrived_s = strategy._release.released_s + travel_s
+        strategy._has_ended = False
         strategy.ended(10**9, arrived, True, True)
         assert strategy.correction.plain == plain_pushes
     pushes = [plain(push(strategy, 140.0)) for _ in range(30)]

@@ -125,6 +125,21 @@ def test_after_errors_to_one_side_a_delay_is_learned() -> None:
     assert method.values[3] == pytest.approx(0.003, abs=0.001)
 
 
+def test_no_valve_opens_much_sooner_than_it_can_what_is_more_is_the_age_of_the_speeds() -> None:
+    """A memory of such a valve is refused."""
+    method = Sensitivities()
+    method.values[23] = 0.004**2  # variance of the delay
+    for k in range(60):
+        context = Context(k % 2, 0.09 if k % 4 > 1 else 0.03, 0.5)
+        method.learn(context, -0.008 - method.offset(context).later_s - method.values[4], 0.5)
+        assert method.values[3] >= -0.002
+    assert method.values[3] + method.values[4] == pytest.approx(-0.008, abs=0.002)
+    method.values[3] = -0.0021
+    other = Sensitivities()
+    other.load(method.dump())
+    assert other.dump() == Sensitivities().dump()
+
+
 def test_the_meshing_force_of_each_direction() -> None:
     method = Sensitivities()
     for _ in range(4):
