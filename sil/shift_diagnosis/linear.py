@@ -319,20 +319,25 @@ def explained(linear: Linear, k: int | None = None) -> tuple[float, Floats]:
     return best
 
 
-def hidden_cost(linear: Linear, sizes: Floats) -> Floats:
+def hidden_cost(linear: Linear, sizes: Floats) -> tuple[Floats, Floats]:
     """Return half chi squared [causes, sizes] of a usual truck with one cause, called healthy.
 
+    And its standard deviation [causes, sizes], over noise and over how far a truck is from usual: by
+    its slopes, since what the fit makes least does not change to first order. A cause that is called
+    an unusual truck costs the prior's tail, which varies little.
     sizes: [sizes], ascending, in typical ones.
     """
     n = linear.units
     h = linear.information.sum(axis=0)
     units, across, alone = h[:n, :n], h[n:, :n], np.diag(h)[n:]
-    found, u = np.zeros((len(alone), len(sizes))), np.zeros_like(across)
+    found, u = np.zeros((2, len(alone), len(sizes))), np.zeros_like(across)
     for j, size in enumerate(sizes):
         for _ in range(REWEIGHTED):
             weight = (TAIL + 1.0) / (TAIL + u**2)
             matrix = units + weight[:, :, None] * np.eye(n)
             u = np.linalg.solve(matrix, size * across[..., None])[..., 0]
         left = 0.5 * size**2 * alone - size * (across * u).sum(1) + 0.5 * (u @ units * u).sum(1)
-        found[:, j] = left + 0.5 * (TAIL + 1.0) * np.log1p(u**2 / TAIL).sum(1)
-    return found
+        found[0, :, j] = left + 0.5 * (TAIL + 1.0) * np.log1p(u**2 / TAIL).sum(1)
+        pull = (TAIL + 1.0) * u / (TAIL + u**2)
+        found[1, :, j] = np.sqrt(2.0 * np.maximum(left, 0.0) + (pull**2).sum(1))
+    return found[0], found[1]

@@ -99,7 +99,7 @@ def close_ones(fits: Sequence[Fit]) -> list[Fit]:
     least = min(fit.cost for fit in fits)
     close = [fit for fit in fits if fit.cause is None or fit.cost < least + HOPELESS]
     found: dict[Cause | None, Fit] = {}
-    for fit in sorted(close, key=lambda fit: fit.cost):
+    for fit in sorted(close, key=_cost):
         found.setdefault(fit.cause, fit)
     return list(found.values())
 
@@ -108,7 +108,7 @@ def on_all(whole: Fitter, fits: Sequence[Fit], run: Run) -> list[Fit]:
     """Return the leading hypotheses, of fits to some shifts in order, on all shifts, best first."""
     items: Items = [(fit.cause, fit.point) for fit in fits[:LEADING]]
     finals = run(partial(whole.fit, rounds=8), items)
-    return sorted(finals, key=lambda fit: fit.cost)
+    return sorted(finals, key=_cost)
 
 
 def promising(
@@ -131,7 +131,7 @@ def promising(
             for sign in ((1.0, -1.0) if cause.sign == 0 else (float(cause.sign),))
         ]
         tried = run(partial(quick.fit, rounds=4), items)
-        for fit in sorted(tried, key=lambda fit: fit.cost):
+        for fit in sorted(tried, key=_cost):
             assert fit.cause is not None
             quickly.setdefault(fit.cause, fit)
     found: list[tuple[float, Cause, list[Floats]]] = []
@@ -168,7 +168,7 @@ def around_best(
     The first ones begin around a healthy truck, which a cause may have made strange: their minima
     are then next to it. Of each cause the better fit is judged.
     """
-    best = min(fits, key=lambda fit: fit.cost)
+    best = min(fits, key=_cost)
     healthy = next(fit for fit in fits if fit.cause is None)
     if best.cause is None or healthy.cost - best.cost < 0.5 * SEPARABLE:
         return []
@@ -201,8 +201,8 @@ def second_attempt(
     """Return the hypotheses, every cause fitted once more before one of them is claimed.
 
     From a usual truck, from the healthy one, and from the best cause's: to a few shifts, the best
-    starts of each effect to more, and the best variant to all. What the first search left out need
-    not be worse.
+    starts of each effect to more, and the best variant of those that are not hopeless to all. What
+    the first search left out need not be worse.
     """
     usual = usual_starts(fitter, causes, COARSE_M[0])
     trucks = [item.fit for item in judged if item.fit.cause is None]
@@ -218,7 +218,8 @@ def second_attempt(
     quick = Fitter(fitter.model, spread(fitter.shifts, QUICK_SHIFTS), fitter.noise)
     best = _best_of_each(run(partial(quick.fit, rounds=4), items), STARTS)
     best = _best_of_each(run(fitter.fit, [(fit.cause, fit.point) for fit in best]), 1)
-    finals = run(partial(final_fit, whole), [(fit.cause, fit.point) for fit in best])
+    close = [fit for fit in best if fit.cost < min(best, key=_cost).cost + HOPELESS]
+    finals = run(partial(final_fit, whole), [(fit.cause, fit.point) for fit in close])
     found = {item.fit.cause: item for item in judged}
     for item in map(Judged.of, finals):
         before = found.get(item.fit.cause)
@@ -227,10 +228,14 @@ def second_attempt(
     return list(found.values())
 
 
+def _cost(fit: Fit) -> float:
+    return fit.cost
+
+
 def _best_of_each(fits: Sequence[Fit], most: int) -> list[Fit]:
     """Return at most so many fits of each effect, those of the least cost."""
     found: dict[str, list[Fit]] = {}
-    for fit in sorted(fits, key=lambda fit: fit.cost):
+    for fit in sorted(fits, key=_cost):
         assert fit.cause is not None
         found.setdefault(fit.cause.effect.id, []).append(fit)
     return [fit for own in found.values() for fit in own[:most]]

@@ -188,10 +188,10 @@ def detectable_of(linear: Linear, ids: int) -> tuple[Detectable, ...]:
     linear = linear.without_cliffs()
     causes, (information, _score) = linear.causes, projected(linear)
     diagonal = np.maximum(np.diag(information), 1e-12)
-    gain = hidden_cost(linear, SCANNED)
+    gain, deviation = hidden_cost(linear, SCANNED)
     volume = 0.5 * np.log1p(diagonal * SIZE_PRIOR**2)[:, None]
     needed = log(ids * (1.0 - ALARM) / ALARM) + volume + 0.5 * (SCANNED / SIZE_PRIOR) ** 2
-    noticed = gain - NOTICED * np.sqrt(2.0 * gain) > needed
+    noticed = gain - NOTICED * deviation > needed
     found = []
     for k, cause in enumerate(causes):
         first = int(np.argmax(noticed[k]))

@@ -299,6 +299,13 @@ class Shown:
         best = min(found, key=lambda item: float(item.fun))
         return float(best.fun), np.asarray(best.x)
 
+    def deviation(self, k: int, size: float, u: Floats) -> float:
+        """Return the standard deviation of `hidden`, over noise and usual trucks: by its slopes."""
+        cross = self.across[k]
+        left = size**2 * self.causes[k, k] - 2.0 * size * cross @ u + u @ self.own @ u
+        pull = (TAIL + 1.0) * u / (TAIL + u**2)
+        return float(np.sqrt(max(left, 0.0) + pull @ pull))
+
     def noticed(self) -> Floats:
         """Return the smallest size [causes] of each that gives an alarm in 9 of 10 trucks, or NaN."""
         found = np.full(len(CAUSES), np.nan)
@@ -309,7 +316,7 @@ class Shown:
             for size in NOTICED_SIZES:
                 gain, near = self.hidden(k, size, near)
                 needed = log(99.0 * len(CAUSES)) + volume + 0.5 * (size / SIZE_SD) ** 2
-                if gain - 1.28 * np.sqrt(2.0 * gain) > needed:
+                if gain - 1.28 * self.deviation(k, size, near) > needed:
                     found[k] = size if size <= max(cause.high, -cause.low) else np.nan
                     break
         return found

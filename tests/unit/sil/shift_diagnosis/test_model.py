@@ -66,10 +66,14 @@ def test_a_cause_is_hidden_by_what_trucks_differ_in(shifts: list[Shift]) -> None
     causes = [c for c in catalogue() if c.effect.id in ("valve_open_delay", "dynamic_friction")]
     linear = linearise(model, shifts, np.zeros(17), causes, noise=Noise(scatter=0.25))
     sizes = np.array([0.5, 1.0, 2.0])
-    hidden = hidden_cost(linear, sizes)
+    hidden, deviation = hidden_cost(linear, sizes)
     alone = np.diag(linear.information.sum(axis=0))[17:]
     assert (np.diff(hidden, axis=1) > 0.0).all()
     assert (hidden < 0.2 * 0.5 * sizes**2 * alone[:, None]).all()
+    # of normal priors it is the root of twice the cost, and less in their tails
+    assert (deviation < 1.1 * np.sqrt(2.0 * hidden)).all()
+    small, spread = hidden_cost(linear, np.array([0.01]))
+    assert spread == pytest.approx(np.sqrt(2.0 * 7.0 / 6.0 * small), rel=0.1)
     # a usual truck needs no cause, and with one in its score the cause is found again
     _cost, point = explained(linear)
     assert np.abs(point).max() < 2.0
@@ -79,6 +83,30 @@ def test_a_cause_is_hidden_by_what_trucks_differ_in(shifts: list[Shift]) -> None
     best, point = explained(delayed, k)
     assert best < explained(delayed)[0] - 3.0
     assert point[-1] == pytest.approx(3.0, abs=1.0)
+
+
+@pytest.mark.parametrize("name", ["sensor_gain", "sensor_delay", "valve_open_delay"])
+def test_what_a_hidden_cause_costs_and_its_deviation_are_those_of_drawn_trucks(
+    name: str, shifts: list[Shift]
+) -> None:
+    model = PlantModel(load("nominal"), mounted=True)
+    causes = [cause for cause in catalogue() if cause.effect.id == name]
+    linear = linearise(model, shifts, np.zeros(17), causes, noise=Noise(scatter=0.25))
+    size, rng = 2.0, np.random.default_rng(1)
+    cost, deviation = hidden_cost(linear, np.array([0.5 * size, size]))
+    noises = [np.linalg.cholesky(np.linalg.inv(w)) for w in linear.weights]
+    gains = []
+    for _ in range(100):
+        truck = np.append(rng.normal(size=17), size)
+        drawn = tuple(
+            a @ truck + noise @ rng.normal(size=len(noise))
+            for a, noise in zip(linear.slopes, noises, strict=True)
+        )
+        own = replace(linear, residuals=drawn)
+        gains.append(explained(own)[0] - explained(own, 0)[0])
+    # with the cause, its own prior is paid
+    assert np.mean(gains) == pytest.approx(cost[0, 1] - 0.5 * (size / 3.0) ** 2, rel=0.1)
+    assert np.std(gains) == pytest.approx(deviation[0, 1], rel=0.35)
 
 
 def test_an_unknown_speed_is_not_simulated(shifts: list[Shift]) -> None:
