@@ -61,7 +61,7 @@ class Channels:
         Raises InputError for a file without channels of numbers.
         """
         if not self.values:
-            raise InputError(f"{path}: no channels of numbers")
+            raise InputError(f"{path}: no channels of numbers; expected at least one")
         longest = max(map(len, self.values.values()))
         base = next(
             (
@@ -95,7 +95,7 @@ def _mat(path: Path) -> Channels:
     except NotImplementedError:
         return _hdf5(path)
     except (ValueError, OSError, TypeError) as error:
-        raise InputError(f"{path}: not a MAT file: {error}") from None
+        raise InputError(f"{path}: {error}; expected a MAT file") from None
 
     def walk(prefix: str, value: Any) -> None:
         if hasattr(value, "_fieldnames"):
@@ -176,5 +176,5 @@ def read_binary(path: Path) -> tuple[dict[str, Floats], str, dict[str, str]]:
         raise
     except Exception as error:  # each library has errors of its own
         text = str(error).partition("\n")[0]
-        raise InputError(f"{path}: cannot be read as {suffix[1:]}: {text}") from None
+        raise InputError(f"{path}: {text}; expected a whole {suffix[1:].upper()} file") from None
     return columns, ", ".join(filter(None, (suffix[1:].upper(), note))), channels.units

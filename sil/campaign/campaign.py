@@ -268,7 +268,7 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
         except (KeyError, ValueError):
             raise InputError(
                 f"{path}: no column {source.column!r} (mapped to {ours}); "
-                f"there are {', '.join(header)}"
+                f"expected one of {', '.join(header)}"
             ) from None
         found[ours] = sources[ours] = own * source.scale + source.offset
         used |= {ours, source.column}
@@ -278,7 +278,9 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
                 f"{path}: {name}: stored in {units[name]}; expected SI, or its scale in [columns]"
             )
     if "time_s" not in found:
-        raise InputError(f"{path}: no column time_s; there are {', '.join(found)}")
+        raise InputError(
+            f"{path}: no column time_s among {', '.join(found)}; expected it, or a map in [columns]"
+        )
     left_out = []
     for name in list(found):
         finite = np.abs(found[name]) < LARGEST
@@ -296,7 +298,7 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
     if np.any(steps <= 0.0):
         row = int(np.argmax(steps <= 0.0))
         where = f"sample {row + 2}" if dialect else f"line {row + 3}"
-        raise InputError(f"{path}: {where}: time_s does not increase")
+        raise InputError(f"{path}: {where}: time_s does not increase; expected rising times")
     time_s = found["time_s"]
     inside = np.ones(len(time_s), dtype=bool)
     for ours, source in (columns or {}).items():

@@ -16,6 +16,7 @@ from plant.systems.stroke import Stroke, simulate
 from sil.campaign.campaign import (
     Campaign,
     CampaignStroke,
+    Record,
     campaign_toml,
     stroke_columns,
     toml_value,
@@ -32,14 +33,12 @@ class SimulatedStroke:
     """A simulated stroke, the entry it came from, and its deviation from the record.
 
     rms: per column of the record, the root mean square of simulated minus recorded, in the
-    column's unit; empty where the campaign holds conditions only. columns: names
-    of the record's columns.
+    column's unit; empty where the campaign holds conditions only.
     """
 
     entry: CampaignStroke
     stroke: Stroke
     rms: dict[str, float]
-    columns: tuple[str, ...]
 
     @property
     def arrival_s(self) -> float:
@@ -54,14 +53,27 @@ class SimulatedStroke:
         return impact.speed_m_s if impact else math.nan
 
 
-def simulate_campaign(campaign: Campaign, parameters: ParameterSet) -> Iterable[SimulatedStroke]:
+def read_records(campaign: Campaign) -> list[Record | None]:
+    """Return the record of each stroke, None where the campaign holds conditions only.
+
+    Raises InputError for a record that is wrong.
+    """
+    return [
+        campaign.record(entry) if (campaign.folder / entry.file).exists() else None
+        for entry in campaign.strokes
+    ]
+
+
+def simulate_campaign(
+    campaign: Campaign, parameters: ParameterSet, records: Iterable[Record | None] | None = None
+) -> Iterable[SimulatedStroke]:
     """Simulate every stroke of a campaign, sampled as its record (or at the stated rate).
 
-    Raises RunError for a stroke whose motion cannot be continued.
+    records: as `read_records` returns them, if they are read already. Raises RunError for a stroke
+    whose motion cannot be continued, InputError for a record that is wrong.
     """
-    for entry in campaign.strokes:
-        path = campaign.folder / entry.file
-        recorded = campaign.record(entry) if path.exists() else None
+    records = read_records(campaign) if records is None else records
+    for entry, recorded in zip(campaign.strokes, records, strict=True):
         if recorded is not None:
             time_s = recorded.time_s - recorded.time_s[0]
         else:
@@ -78,8 +90,7 @@ def simulate_campaign(campaign: Campaign, parameters: ParameterSet) -> Iterable[
             for name, values in stroke_columns(stroke).items():
                 if name in recorded and not name.startswith(("cmd_", "time")):
                     rms[name] = float(np.sqrt(np.mean((values - recorded[name]) ** 2)))
-        columns = () if recorded is None else tuple(recorded.columns)
-        yield SimulatedStroke(entry, stroke, rms, columns)
+        yield SimulatedStroke(entry, stroke, rms)
 
 
 def write_campaign(

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import read_user_file
 from sil.campaign.binary_tables import BINARY, Floats, read_binary
 
 DELIMITERS = {"semicolon": ";", "tab": "\t", "comma": ",", "blank": " "}
@@ -27,6 +28,9 @@ NUMBER = re.compile(
     r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}(\.\d{3})+,\d*)([eEdD][+-]?\d+)?|[nN]a[nN]|[+-]?[iI]nf"
 )
 THOUSANDS = re.compile(r"(?<=\d)\.(?=\d{3}(\.\d{3})*,)")
+MOST_BYTES = 4 << 30
+"""The largest text that is read."""
+
 PREAMBLE = 200
 """Lines within which the numbers of a text begin."""
 
@@ -165,8 +169,9 @@ def read_columns(path: Path) -> tuple[dict[str, Floats], str, dict[str, str]]:
         if not notes:
             raise
     named = [name for name in header if name]
-    if len(set(named)) != len(named):
-        raise InputError(f"{path}: line {first - 1}: a column name occurs twice")
+    if twice := [name for name in named if named.count(name) > 1]:
+        what = f"column {twice[0]!r} twice; expected each name once"
+        raise InputError(f"{path}: line {first - 1}: {what}")
     count = len(next(iter(columns.values()), ()))
     if count < 2:
         raise InputError(f"{path}: {count} samples; expected at least 2")
@@ -178,10 +183,7 @@ def read_text(path: Path) -> TextTable:
 
     Raises InputError for a file that cannot be read, or that holds no table.
     """
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    raw = read_user_file(path, "a table with a header row", MOST_BYTES)
     text, encoding = _decoded(raw)
     lines = text.splitlines()
     if not lines or not lines[0].strip():

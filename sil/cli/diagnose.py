@@ -72,6 +72,9 @@ def run(arguments: argparse.Namespace) -> int:
             "several campaigns; expected one, or CAN logs, or --new DIR and measured files"
         )
     (arguments.campaign,) = arguments.campaign
+    for option in ("map", "dbc"):
+        if getattr(arguments, option):
+            raise InputError(f"--{option}: not together with a campaign; expected CAN logs")
     # before the modules below, which list what the catalogue holds
     stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load
@@ -84,6 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.progress import Progress
 
     if is_force_rig(arguments.campaign):
+        if arguments.model != "nominal":
+            raise InputError('--model: not together with rig = "force"; expected none')
         return run_force(arguments, stamps)
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)

@@ -6,13 +6,11 @@ import argparse
 import json
 import math
 import sys
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from sil.cli.options import EFFECTS, JSON, SETTINGS, argument, out, say
 
 if TYPE_CHECKING:
-    from sil.campaign.campaign import CampaignStroke
     from sil.campaign.simulate import SimulatedStroke
 
 EXAMPLE = "example: opc4 simulate measured/ --out simulated/ --set friction_length.F_rf_p=60"
@@ -31,7 +29,12 @@ def run(arguments: argparse.Namespace) -> int:
     from plant.effects.user_file import load_effects
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign, misspelt_columns
-    from sil.campaign.simulate import campaign_folder, simulate_campaign, write_campaign
+    from sil.campaign.simulate import (
+        campaign_folder,
+        read_records,
+        simulate_campaign,
+        write_campaign,
+    )
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.overrides import model_settings
     from sil.files.progress import Progress
@@ -39,13 +42,16 @@ def run(arguments: argparse.Namespace) -> int:
     campaign = load_campaign(arguments.campaign)
     stamps = [load_effects(file) for file in arguments.effects]
     parameters = overridden(load(arguments.model), model_settings(arguments.settings))
+    records = read_records(campaign)
+    pairs = zip(campaign.strokes, records, strict=True)
+    named = [(entry, record.columns) for entry, record in pairs if record is not None]
+    for file, column, what in misspelt_columns(named):
+        say(f"opc4 simulate: {campaign.folder / file}: {column}: {what}")
     folder = prepare_folder(arguments.out, f"{campaign.name}-simulated", arguments.force)
     campaign_folder(folder, arguments.force)
     rows: list[dict[str, Any]] = []
-    columns: list[tuple[CampaignStroke, tuple[str, ...]]] = []
 
     def note(item: SimulatedStroke) -> None:
-        columns.append((item.entry, item.columns))
         rows.append(
             {
                 "file": item.entry.file,
@@ -72,9 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
 
     with Progress(f"simulating {campaign.name}", "strokes") as progress:
-        write_campaign(campaign, simulate_campaign(campaign, parameters), folder, note)
-    for file, column, what in misspelt_columns(filter(itemgetter(1), columns)):
-        say(f"opc4 simulate: {campaign.folder / file}: {column}: {what}")
+        write_campaign(campaign, simulate_campaign(campaign, parameters, records), folder, note)
     if arguments.json:
         found = {"campaign": campaign.name, "out": str(folder), "effects": stamps, "strokes": rows}
         print(json.dumps(finite(found)))

@@ -139,7 +139,7 @@ def _described(path: Path, line: int, error: BaseException) -> str:
     if calls:
         file, line = calls[-1].filename, calls[-1].lineno or line
     text = str(error)
-    if isinstance(error, SyntaxError) and error.filename == file:
+    if isinstance(error, SyntaxError) and error.filename in (file, None):
         line, text = error.lineno or line, f"{error.msg}; expected valid Python"
     text = " ".join(text.split())
     return f"{file}:{line}: {type(error).__name__}" + (f": {text}" if text else "")

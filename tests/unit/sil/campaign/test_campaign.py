@@ -12,6 +12,9 @@ from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.campaign.campaign import campaign_toml, load_campaign
 from sil.campaign.simulate import simulate_campaign, write_campaign
+from sil.cli import main
+
+Capture = pytest.CaptureFixture[str]
 
 TEXT = """
 name = "one"
@@ -80,3 +83,42 @@ def test_a_scale_of_zero_is_refused(tmp_path: Path) -> None:
     folder = written(tmp_path / "flat", '[columns]\nposition_m = { column = "x", scale = 0 }\n')
     with pytest.raises(InputError, match=r"columns.position_m.scale: 0 makes every value the same"):
         load_campaign(str(folder))
+
+
+@pytest.mark.parametrize(
+    ("record", "wrong"),
+    [
+        ("time_s,position_m\n0.0,0.0\n0.0,0.0\n", "line 3: time_s does not increase; expected"),
+        ("time_s,x,x\n0.0,0.0,1.0\n0.1,0.0,1.0\n", "line 1: column 'x' twice; expected each name"),
+        (
+            "time,position_m\n0.0,0.0\n0.1,0.0\n",
+            "no column time_s among time, position_m; expected",
+        ),
+        ("", "line 1: empty; expected a header row"),
+        (None, "is a folder; expected a table with a header row"),
+    ],
+)
+@pytest.mark.parametrize("command", [["simulate"], ["diagnose"], ["identify", "flow"]])
+def test_a_wrong_record_is_one_line_and_leaves_no_output(
+    command: list[str], record: str | None, wrong: str, tmp_path: Path, capsys: Capture
+) -> None:
+    folder = written(tmp_path / "campaign", TEXT[TEXT.index("[[stroke]]") :].replace("001", "002"))
+    (folder / "stroke_001.csv").write_text("time_s,position_m\n0.0,0.0\n0.1,0.0\n")
+    file = folder / "stroke_002.csv"
+    file.mkdir() if record is None else file.write_text(record)
+    out = tmp_path / "out"
+    assert main([*command, str(folder), "--out", str(out), "--quiet"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"opc4 {command[0]}: {file}: {wrong}") and not out.exists()
+
+
+def test_options_of_a_truck_log_are_refused_for_a_campaign(tmp_path: Path, capsys: Capture) -> None:
+    folder = written(tmp_path / "campaign")
+    for option in ("--map", "--dbc"):
+        assert main(["diagnose", str(folder), option, "x"]) == 2
+        what = "not together with a campaign; expected CAN logs"
+        assert capsys.readouterr().err == f"opc4 diagnose: {option}: {what}\n"
+    (folder / "campaign.toml").write_text(TEXT.replace('"fixed"', '"force"'), encoding="utf-8")
+    assert main(["diagnose", str(folder), "--model", "truck_40ms"]) == 2
+    what = '--model: not together with rig = "force"; expected none'
+    assert capsys.readouterr().err == f"opc4 diagnose: {what}\n"

@@ -56,6 +56,7 @@ def test_it_is_found_beside_the_scenario_and_from_the_command_line(
         ("x = 1\nFirmware = 3\n", "own.py", "no class 'Firmware'"),
         ("x = 1\ny = (\n", "own.py",
          "own.py:2: SyntaxError: '(' was never closed; expected valid Python"),
+        ("x = 1\0\n", "own.py", "null bytes; expected valid Python"),
         ("\n\nimport not_there\n", "own.py", "own.py:3: ModuleNotFoundError"),
         ("class Firmware:\n def __init__(self, c):\n  1 / 0\n def step(self): ...\n", "own.py",
          "own.py:3: ZeroDivisionError"),
