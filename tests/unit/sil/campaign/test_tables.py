@@ -151,7 +151,9 @@ def test_matlab_files_are_read(tmp_path: Path) -> None:
     record = read_record(file, {"time_s": ColumnMap("s.t"), "f": ColumnMap("'s.x' * gain")})
     assert record.dialect == "MAT" and record["f"] == pytest.approx(3.0 * POSITION)
     file.write_bytes(b"no such thing")
-    with pytest.raises(InputError, match=r"a\.mat: .*; expected a MAT file|a\.mat: .*; expected a whole MAT"):
+    with pytest.raises(
+        InputError, match=r"a\.mat: .*; expected a MAT file|a\.mat: .*; expected a whole MAT"
+    ):
         read_record(file)
 
 
