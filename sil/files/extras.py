@@ -10,7 +10,7 @@ from typing import Any
 
 from can_dbc.errors import InputError
 
-_ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def import_extra(module: str, extra: str, purpose: str) -> Any:
@@ -31,8 +31,8 @@ def import_extra(module: str, extra: str, purpose: str) -> Any:
 def install_command(module: str, extra: str) -> str:
     """Return the command that installs an extra: from the source folder if this is a clone."""
     python = _relative(sys.executable)
-    if (_ROOT / "pyproject.toml").is_file():
-        return f"{python} -m pip install -e '{_relative(str(_ROOT))}[{extra}]'"
+    if (ROOT / "pyproject.toml").is_file():
+        return f"{python} -m pip install -e '{_relative(str(ROOT))}[{extra}]'"
     return f"{python} -m pip install {module}"
 
 

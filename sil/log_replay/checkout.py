@@ -12,7 +12,7 @@ from pathlib import Path
 
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import one_line
-from sil.simulation.build import ROOT
+from sil.files.extras import ROOT
 
 
 @contextlib.contextmanager

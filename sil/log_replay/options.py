@@ -11,12 +11,12 @@ from typing import Any
 from can_dbc import typed_toml
 from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_text
+from sil.files.output_folder import RESULT
 from sil.log_replay.tick_grid import Survey
 from sil.nodes.own_firmware import absolute
 from sil.simulation import load_scenario, scenario
 from sil.simulation.load_scenario import Loaded
 
-RESULT = "result.json"
 LARGEST_RESULT = 64 << 20
 """Bytes; that of a run of an hour is far smaller."""
 

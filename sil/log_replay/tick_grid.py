@@ -30,6 +30,7 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
+from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.log_replay.recorded_frames import Arrival, counter_of, is_intact
 
@@ -43,7 +44,6 @@ BLOCKED_NS: Final = 1_200_000
 
 NOMINAL: Final = 1e-3
 SKEW_WINDOWS: Final = 8
-NS_PER_S: Final = 1_000_000_000
 
 
 class Survey(NamedTuple):

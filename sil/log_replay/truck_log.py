@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from can_dbc.frame import join_id
+from sil.coupling.clock import NS_PER_S
 from sil.j1939.gear_history import PGN_ETC2
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.j1939.shift_flag import PGN_ETC1
@@ -29,7 +30,6 @@ GEARS: Final[tuple[Meaning, ...]] = ("current_gear", "selected_gear")
 _FLAG_AND_SPEEDS: Final[tuple[Meaning, ...]] = ("shift_in_process", *SHAFT_SPEEDS)
 _ETC_SPEED_RAD_S: Final = 0.125 * pi / 30.0
 _ETC_NOT_AVAILABLE: Final = 0xFFFF
-_NS_PER_S: Final = 1_000_000_000
 _MOST_IDENTIFIERS: Final = 20_000
 _Taker = Callable[[LogFrame], None]
 
@@ -220,7 +220,7 @@ class TruckLog:
                 senders, key=lambda s: (s.channel != shift.channel, s.source != shift.source, s)
             ):
                 found = [
-                    ((time_ns - origin_ns) / _NS_PER_S, values[index])
+                    ((time_ns - origin_ns) / NS_PER_S, values[index])
                     for time_ns, content in self._window(sender, begin_ns, end_ns)
                     if index in (values := self.mapping.values(sender, content))
                 ]
@@ -239,7 +239,7 @@ class TruckLog:
             if own and sender.message in names:
                 times.update(time_ns for time_ns, _ in self._window(sender, begin_ns, end_ns))
         ordered = sorted(times)
-        return max(b - a for a, b in pairwise(ordered)) / _NS_PER_S
+        return max(b - a for a, b in pairwise(ordered)) / NS_PER_S
 
     def _window(self, sender: Sender, begin_ns: int, end_ns: int) -> list[tuple[int, bytes]]:
         series, times = self._series[sender], self._times[sender]

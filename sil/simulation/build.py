@@ -36,6 +36,7 @@ from sil.coupling.transports.channel import (
 )
 from sil.coupling.transports.wire import GUEST
 from sil.files.atomic import write_atomically
+from sil.files.extras import ROOT
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import Scenario, expanded
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from plant.node import PlantConfig
     from sil.coupling.transports.remote import RemoteChannel
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = "scenario.json"
 MEMORY = "memory.bin"
 REMOTE = ("controller", "plant")

@@ -15,8 +15,8 @@ def test_a_present_library_is_imported() -> None:
 
 
 def test_in_a_clone_the_command_installs_the_clone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(extras._ROOT)
-    monkeypatch.setattr("sys.executable", str(extras._ROOT / ".venv" / "bin" / "python"))
+    monkeypatch.chdir(extras.ROOT)
+    monkeypatch.setattr("sys.executable", str(extras.ROOT / ".venv" / "bin" / "python"))
     expected = (
         "log.mf4: MF4 needs no_such_module, which is not installed; expected it after: "
         ".venv/bin/python -m pip install -e '.[mdf]'"
@@ -29,5 +29,5 @@ def test_in_a_clone_the_command_installs_the_clone(monkeypatch: pytest.MonkeyPat
 def test_elsewhere_the_command_installs_the_library(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(extras, "_ROOT", tmp_path)
+    monkeypatch.setattr(extras, "ROOT", tmp_path)
     assert extras.install_command("fmpy", "fmu").endswith(" -m pip install fmpy")
