@@ -269,11 +269,11 @@ def write_files(
         groups = plots(figure)
     tiles = [(str(len(found.shifts)), "shifts judged")]
     if found.judged:
+        shown = {item.id: item for item in (found.healthy, found.best)}
         tiles += [
-            (f"{found.healthy.chi2:.2f}", "chi squared per number, healthy"),
-            (f"{found.best.chi2:.2f}", f"{found.best.id}"),
-            (f"{found.probabilities['healthy']:.2f}", "probability of a healthy truck"),
+            (f"{it.chi2:.2f}", f"chi squared per number, {name}") for name, it in shown.items()
         ]
+        tiles.append((f"{found.probabilities['healthy']:.2f}", "probability of a healthy truck"))
     head = Head(
         command="diagnose", name=values["campaign"], verdict=found.verdict,
         good=found.verdict == "consistent", tiles=tiles, again=command,
