@@ -171,16 +171,16 @@ def _offset_of(error: Exception, text: str) -> int | None:
 
 
 def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split())
+    text = " ".join(str(error).split()).removesuffix(".")
     if len(text) > _LONGEST_REASON:
         text = text[: _LONGEST_REASON - 3] + "..."
     column = getattr(error, "column", None)
     if column is not None:
         return f"column {column}: {text.split(': ', 1)[-1]} is not DBC grammar; expected a DBC file"
     if isinstance(error, KeyError):
-        return f"refers to {text}, which is not declared"
+        return f"refers to {text}, which is not declared; expected its declaration"
     if type(error).__module__.startswith("cantools"):
-        return text
+        return f"{text}; expected a DBC without contradictions"
     return f"not a DBC that can be understood ({type(error).__name__}: {text})"
 
 

@@ -58,6 +58,9 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.scenario and (arguments.dbc or arguments.log):
         raise InputError("--scenario: given with --dbc or --log; expected one of them")
+    for option in ("since", "until", "channel"):
+        if getattr(arguments, option) and not arguments.log:
+            raise InputError(f"--{option}: given without --log; expected both")
     bitrate = 500_000
     notes: list[str] = []
     if arguments.log:

@@ -71,7 +71,7 @@ class LogReader:
                 str(report.skipped_locations[0]) if report.skipped_locations else report.notes[0]
             )
             raise InputError(
-                f"{self.path}: {first}; no CAN frame found, expected a {self.format} log"
+                f"{self.path}: {first}; no CAN frame found, expected a log of format {self.format}"
             )
         report.note("no CAN frames in it")
 

@@ -54,8 +54,9 @@ def test_bus_of_another_database(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert cli.main(["bus", "--dbc", str(file), "--scenario", "lab_n_b"]) == 2
     assert cli.main(["bus", "--bitrate", "0"]) == 2
     assert cli.main(["bus", "--bitrate", "3"]) == 2
+    assert cli.main(["bus", "--channel", "can0"]) == 2
     output = capsys.readouterr().err.splitlines()
-    assert len(output) == 4
+    assert len(output) == 5 and output[4].endswith("--channel: given without --log; expected both")
 
 
 def test_a_database_that_is_no_file_is_refused(
