@@ -79,7 +79,9 @@ def test_strict_refuses_a_cut_log(tmp_path: Path) -> None:
 def test_garbage_alone_is_never_silence(tmp_path: Path) -> None:
     path = tmp_path / "log.log"
     path.write_text("nothing\nof a log\n")
-    with pytest.raises(InputError, match=r"line 1: .* no CAN frame found, expected a log of format candump"):
+    with pytest.raises(
+        InputError, match=r"line 1: .* no CAN frame found, expected a log of format candump"
+    ):
         list(open_log(path))
 
 
