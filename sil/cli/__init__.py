@@ -289,13 +289,15 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         message, code = "interrupted", NOT_FINISHED
     except MemoryError:
         message, code = "not enough memory", NOT_FINISHED
-    except OSError as error:  # disk full, no permission
+    except OSError as error:  # a full disk, for example
         if error.filename == _STDOUT:
             _settle(name, "not finished")
             return _unwritable(error)
         message, code = os_error_text(error), NOT_FINISHED
         if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
             message, code = f"{message}; expected a path that can exist", BAD_INPUT
+        elif error.errno == errno.EACCES:
+            message, code = f"{message}; expected a path with permission", BAD_INPUT
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
     message = _shortened(message)

@@ -7,6 +7,7 @@ run, which then runs again as it was.
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,6 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{arguments.junit}: --junit: no such folder; expected one that exists")
     if arguments.junit is not None and arguments.junit.is_dir():
         raise InputError(f"{arguments.junit}: --junit: is a folder; expected a file")
+    if arguments.junit is not None and not os.access(arguments.junit.parent, os.W_OK):
+        raise InputError(
+            f"{arguments.junit}: --junit: no permission; expected a folder to write in"
+        )
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import prepare_folder
     from sil.simulation import load_scenario

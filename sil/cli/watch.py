@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
                     raise InputError(f"--limit {name}: {unknown_name(name, sorted(known))}")
             again = shlex.join(["opc4", *sys.argv[1:]])
             values = finite(write_watch(list(watch.trucks()), limits, folder, again))
-        except InputError:
+        except (InputError, OSError):
             if is_new and not list(watch.trucks()):
                 (folder / STORE).unlink()
                 folder.rmdir()
