@@ -63,7 +63,6 @@ def test_a_wrong_option_is_one_line(
     assert line in said
 
 
-@pytest.mark.parametrize("model", ["nominal", "nominl"])
 def test_a_path_without_permission_is_bad_input(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -83,39 +82,6 @@ def test_a_path_without_permission_is_bad_input(
 
 
 @pytest.mark.parametrize("model", ["nominal", "nominl"])
-@pytest.mark.skipif(os.geteuid() != 0, reason="becomes another user")
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["watch", "secret.log", "--out", "out"],
-        ["run", "lab_n_b", "--junit", "closed/a.xml", "--out", "out"],
-        ["convert", "secret.log", "out"],
-        ["simulate", "secret.toml", "--out", "out"],
-    ],
-)
-def test_a_path_without_permission_is_bad_input(
-    words: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("secret.log", "secret.toml"):
-        Path(name).write_text(LOG)
-        Path(name).chmod(0o600)
-    Path("closed").mkdir(mode=0o555)
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(0o777)
-    os.seteuid(65534)
-    try:
-        code = cli.main(words)
-    finally:
-        os.seteuid(0)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert code == 2 and "ermission" in line and "expected" in line
-    assert not Path("out").exists()
-
-
 def test_watch_leaves_no_folder_where_nothing_was_taken(
     model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
