@@ -182,7 +182,12 @@ def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[
 
 def _parameters(model_set: str, where: str) -> ParameterSet:
     try:
-        return _nominal() if model_set == "nominal" else _load(model_set)
+        found = _nominal() if model_set == "nominal" else _load(model_set)
+        if found.effects:
+            from plant.effects import check_effects
+
+            check_effects(found.effects, found.name)
+        return found
     except InputError as error:
         raise InputError(f"{where}: {typed_toml.one_line(str(error))}") from None
 

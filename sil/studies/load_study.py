@@ -64,7 +64,11 @@ def load_study(where: str, effects: Sequence[str] = (), model: str | None = None
 
         study = structs.replace(study, effects=[load_effects(file) for file in files])
     try:
-        load_parameters(study.model)
+        parameters = load_parameters(study.model)
+        if parameters.effects:
+            from plant.effects import check_effects
+
+            check_effects(parameters.effects, parameters.name)
     except InputError as error:
         raise InputError(
             f"{path}: model: {error}" if model is None else f"--model: {error}"

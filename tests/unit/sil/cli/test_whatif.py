@@ -62,6 +62,14 @@ def test_a_model_replaces_that_of_the_study(tmp_path: Path, capsys: Any) -> None
     error = capsys.readouterr().err
     assert error.startswith("opc4 whatif: --model: model 'nominl': no such parameter set; expected")
     assert not (tmp_path / "none").exists()
+    model.write_text('[base]\nmodel = "nominal"\n[effect.none]\n')
+    for command in (["whatif", path], ["run", "lab_n_b"]):
+        assert main([*command, "--out", str(tmp_path / "none"), "--model", str(model)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(
+            f"opc4 {command[0]}: --model: {model}: effect 'none': no such effect"
+        )
+        assert not (tmp_path / "none").exists()
     with open(path, "r+", encoding="utf-8") as file:
         text = file.read()
         file.seek(0)
