@@ -261,8 +261,8 @@ def test_a_programme_that_is_known_too_late_gives_way_to_one_of_the_next_level()
     assert strategy._expected is not None
     expected = strategy._expected._replace(used_s=0.1175)
     own, heavier = (TABLE.rows[STRONG + strategy._strong + k] for k in (0, 1))
-    assert own[23].begin < own[24].begin < 8 == heavier[24].begin
-    for step, taken in ((own[24].begin, own[24]), (8, heavier[24]), (9, None)):
+    assert own[23].begin < own[24].begin < 10 == heavier[24].begin
+    for step, taken in ((own[24].begin, own[24]), (10, heavier[24]), (11, None)):
         strategy._programme = None
         strategy._choose(expected, step)
         assert strategy._programme == taken

@@ -12,6 +12,7 @@ import pytest
 import controller
 from controller.programmes import CAREFUL, NEVER, STRONG, Programme, Pulse, Table, library
 from tests.bench._learned_programmes import IMPULSES_N_S, NONE, STRENGTHS, Draws, read
+from tests.bench._learned_risk import RISK, Tail, risk
 
 SUPPLIES, DELAYS = (8e5, 8.5e5, 9e5), (0.027, 0.031, 0.035, 0.039)
 
@@ -55,6 +56,19 @@ def test_a_programme_bears_a_valve_that_is_suddenly_slow(strength: int) -> None:
     assert model.failed(given[strength]) == []
     once = np.array([[11.0, 4.0, 0.0, -1.0], [5.0, 1.0, 0.0, -1.0]])
     assert min(model.failed(once)) >= model.loads - 60
+
+
+def test_a_programme_that_stalled_in_two_trucks_is_too_risky_and_those_of_its_row_are_not() -> None:
+    """It passes the proof, which goes 4.3 standard deviations in random directions."""
+    given = read(Path(controller.__file__).with_name("programmes.csv"))[9.0, 31.0, 23]
+    tail = Tail(9.0)
+    for strength, programme in enumerate(given):
+        tail.aim(STRENGTHS[strength], 0.031, float(IMPULSES_N_S[23]))
+        assert risk(tail.fails(programme)) <= RISK
+    once = np.array([[6.0, 4.0, 0.0, -1.0], [13.0, 1.0, 0.0, -1.0]])
+    tail.aim(STRENGTHS[STRONG + 3], 0.031, float(IMPULSES_N_S[23]))
+    assert risk(tail.fails(once)) > 5.0 * RISK
+    assert Draws(STRENGTHS[STRONG + 3], 9.0, 0.031, float(IMPULSES_N_S[23])).failed(once) == []
 
 
 def test_between_pressures_and_beyond_them() -> None:
