@@ -283,7 +283,9 @@ def open_channels(
     names = participant_names(loaded.scenario)
     if transport == "inproc":
         if external:
-            raise InputError("--external: needs --transport local or a CAN interface")
+            raise InputError(
+                "--external: not with --transport inproc; expected local or a CAN interface"
+            )
         return [InProcess([make_participant(name, loaded, folder) for name in names])]
     if "plant" not in external:
         from plant.kernel.compiled import is_warm

@@ -98,13 +98,19 @@ def run_study(
     # the first rows run here: bad settings are reported at once, and kernels are compiled once
     done = begin
     progress(done, study.size)
-    with open(path, "a", encoding="utf-8", newline="") as file:
-        for lines in _results(study, wanted, workers, cluster):
-            file.write("".join(lines))
-            file.flush()
-            os.fsync(file.fileno())
-            done += len(lines)
-            progress(done, study.size)
+    try:
+        with open(path, "a", encoding="utf-8", newline="") as file:
+            for lines in _results(study, wanted, workers, cluster):
+                file.write("".join(lines))
+                file.flush()
+                os.fsync(file.fileno())
+                done += len(lines)
+                progress(done, study.size)
+    except InputError:
+        if not done:  # there is nothing to resume
+            path.unlink()
+            (folder / STATE).unlink()
+        raise
     return done - begin
 
 

@@ -42,7 +42,7 @@ def folder() -> Path:
 def socket_path(channel: str) -> Path:
     """Return the socket of a channel: a name (letters, digits, `_.-`), or a path with a slash.
 
-    Raises InputError for another text, or a path too long for a socket.
+    Raises InputError for another text, a path too long for a socket, or a folder that is missing.
     """
     if "/" in channel:
         path = Path(channel)
@@ -53,7 +53,9 @@ def socket_path(channel: str) -> Path:
             f"channel {channel!r}: expected a name of letters, digits, '_', '.', '-', or a path"
         )
     if len(os.fsencode(path)) > _LONGEST_PATH:
-        raise InputError(f"channel {channel!r}: {path} is longer than {_LONGEST_PATH} bytes")
+        raise InputError(f"channel {channel!r}: {path}; expected at most {_LONGEST_PATH} bytes")
+    if not path.parent.is_dir():
+        raise InputError(f"channel {channel!r}: no folder {path.parent}; expected an existing one")
     return path
 
 
@@ -95,8 +97,6 @@ def connect(
     Raises InputError for a channel that cannot exist, RunError when no hub comes in time.
     """
     path = socket_path(channel)
-    if not path.parent.is_dir():
-        raise InputError(f"channel {channel!r}: no folder {path.parent}; expected an existing one")
     if path.exists() and not path.is_socket():
         raise InputError(f"channel {channel!r}: is no socket; expected that of a run")
     deadline = time.monotonic() + wait_s

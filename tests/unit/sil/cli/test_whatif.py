@@ -80,6 +80,14 @@ def test_a_model_replaces_that_of_the_study(tmp_path: Path, capsys: Any) -> None
     )
 
 
+def test_a_study_whose_first_row_is_refused_leaves_no_folder(tmp_path: Path, capsys: Any) -> None:
+    path, out = study(tmp_path, '"high"'), tmp_path / "out"
+    assert main(["whatif", path, "--out", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "row 0: --set: plant.supply_pressure_pa: 'high' is wrong; expected" in line
+    assert not out.exists()
+
+
 FIRMWARE = """
 import os
 import sys

@@ -23,7 +23,7 @@ def test_a_name_is_a_socket_in_a_folder_of_this_user_only(runtime: Path) -> None
     assert address.socket_path("demo") == runtime / "opc4" / "demo.sock"
     assert (runtime / "opc4").stat().st_mode & 0o777 == 0o700
     assert address.socket_path("./here") == Path("here")
-    assert address.socket_path("/a/b.sock") == Path("/a/b.sock")
+    assert address.socket_path(f"{runtime}/b.sock") == runtime / "b.sock"
 
 
 def test_without_a_runtime_folder_it_is_one_for_temporary_files(
@@ -41,7 +41,7 @@ def test_other_names_are_refused(name: str) -> None:
 
 
 def test_a_path_too_long_for_a_socket_is_refused() -> None:
-    with pytest.raises(InputError, match="longer than 107 bytes"):
+    with pytest.raises(InputError, match="expected at most 107 bytes"):
         address.socket_path("/" + "a" * 107)
 
 
@@ -108,6 +108,6 @@ def test_a_file_in_the_way_stays(tmp_path: Path) -> None:
     path.write_text("mine")
     with pytest.raises(RunError, match="in use"):
         address.listen(str(path))
-    with pytest.raises(RunError, match="No such file"):
+    with pytest.raises(InputError, match=r"no folder .*missing; expected an existing one"):
         address.listen(str(tmp_path / "missing" / "x.sock"))
     assert path.read_text() == "mine"
