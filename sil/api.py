@@ -155,7 +155,14 @@ def simulate(
     return list(simulate_campaign(load_campaign(campaign), parameters))
 
 
-def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) -> Sweep:
+def whatif(
+    study: Where,
+    *,
+    out: Where,
+    model: Where | None = None,
+    workers: int = 1,
+    resume: bool = False,
+) -> Sweep:
     """Run the rows of a study, as `opc4 whatif` does.
 
     Parameters
@@ -164,6 +171,8 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
         A study file or a shipped name.
     out
         Folder for results.csv, made if missing.
+    model
+        Parameter set or model file of the plant; None for that of the study.
     workers
         Number of processes.
     resume
@@ -187,7 +196,7 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
     from sil.studies.summary import summary
     from sil.studies.table import read_table
 
-    loaded = load_study(str(study))
+    loaded = load_study(str(study), model=None if model is None else str(model))
     with locked_folder(Path(out)) as folder:
         run_study(loaded, folder, workers=workers, resume=resume)
         table = read_table(loaded, folder)

@@ -83,6 +83,8 @@ def test_whatif_and_replay(tmp_path: Path, capsys: Any) -> None:
     swept = api.whatif(tmp_path / "s.toml", out=tmp_path / "out")
     times = swept.numbers["shift_time_s"]
     assert times[1] - times[0] == pytest.approx(0.004, abs=1e-6)
+    with pytest.raises(InputError, match="model 'nominl': no such parameter set"):
+        api.whatif(tmp_path / "s.toml", out=tmp_path / "none", model="nominl")
     assert main(["run", "lab_n_b", "--no-report", "--out", str(tmp_path / "run")]) == 0
     assert not api.replay(tmp_path / "run" / "bus.log").differs
     changed = api.replay(tmp_path / "run" / "bus.log", {"controller.filter": False})
