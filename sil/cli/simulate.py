@@ -25,6 +25,7 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, write the campaign folder, print one line a stroke."""
+    from can_dbc.errors import InputError
     from plant.effects import overridden
     from plant.effects.user_file import load_effects
     from plant.parameters import load
@@ -42,6 +43,9 @@ def run(arguments: argparse.Namespace) -> int:
     campaign = load_campaign(arguments.campaign)
     stamps = [load_effects(file) for file in arguments.effects]
     parameters = overridden(load(arguments.model), model_settings(arguments.settings))
+    if arguments.out is not None and arguments.out.resolve() == campaign.folder.resolve():
+        what = "is the campaign that is simulated; expected another folder"
+        raise InputError(f"{arguments.out}: --out: {what}")
     records = read_records(campaign)
     pairs = zip(campaign.strokes, records, strict=True)
     named = [(entry, record.columns) for entry, record in pairs if record is not None]

@@ -112,6 +112,15 @@ def test_a_wrong_record_is_one_line_and_leaves_no_output(
     assert line.startswith(f"opc4 {command[0]}: {file}: {wrong}") and not out.exists()
 
 
+def test_a_campaign_is_not_replaced_by_its_simulation(tmp_path: Path, capsys: Capture) -> None:
+    folder = written(tmp_path / "campaign")
+    (folder / "stroke_001.csv").write_text("time_s,position_m\n0.0,0.0\n0.1,0.0\n")
+    assert main(["simulate", str(folder), "--out", str(folder / "."), "--force"]) == 2
+    what = "--out: is the campaign that is simulated; expected another folder"
+    assert capsys.readouterr().err == f"opc4 simulate: {folder}: {what}\n"
+    assert (folder / "stroke_001.csv").exists()
+
+
 def test_options_of_a_truck_log_are_refused_for_a_campaign(tmp_path: Path, capsys: Capture) -> None:
     folder = written(tmp_path / "campaign")
     for option in ("--map", "--dbc"):
