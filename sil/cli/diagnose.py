@@ -171,7 +171,7 @@ def run_logs(arguments: argparse.Namespace) -> int:
     name = Path(arguments.campaign[0]).name.split(".")[0]
     logs, skipped = arguments.campaign, Counter[str]()
     layout, workers = (arguments.map, arguments.dbc), arguments.workers
-    folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
+    folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force, inputs=logs)
     with Progress(f"diagnosing {name}", "%", at_once=True) as progress:
         found = diagnosed(logs, arguments.model, layout, skipped, progress, workers)
     values = finite(as_json(found, logs, dict(skipped)) | {"effects": stamps})

@@ -145,7 +145,8 @@ def _prepared(arguments: argparse.Namespace, name: str) -> Path:
     """Return the output folder, without the figures of a replay that --force replaces."""
     from sil.files.output_folder import prepare_folder
 
-    folder = prepare_folder(arguments.out, name, arguments.force)
+    logs = [arguments.log, *arguments.more_logs]
+    folder = prepare_folder(arguments.out, name, arguments.force, inputs=logs)
     for figure in folder.glob("*.*"):
         if figure.stem.startswith(_FIGURES) and figure.suffix in (".png", ".svg"):
             figure.unlink()

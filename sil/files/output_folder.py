@@ -9,7 +9,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -61,15 +61,27 @@ def finite(value: Any) -> Any:
     return value
 
 
-def prepare_folder(out: Path | None, name: str, force: bool, has_result_json: bool = False) -> Path:
+def prepare_folder(
+    out: Path | None,
+    name: str,
+    force: bool,
+    has_result_json: bool = False,
+    inputs: Iterable[str] = (),
+) -> Path:
     """Return the locked folder of a new run, made if missing.
 
     Without `out` it is the first free runs/<name>-<n>.  With `force`, the files of a run that the
     folder holds are set aside until `close_folders`.  `has_result_json`: the command writes a
     result.json at once that says it is not complete; for others, the file INCOMPLETE does.
+    `inputs`: files that the command reads.
     Raises InputError for a folder that holds a run, to which another process writes, or in which
-    nothing can be written.
+    nothing can be written, and if an input would be deleted.
     """
+    if out is not None and force:
+        for file in map(Path, inputs):
+            if file.name in RUN_FILES and file.resolve().parent == out.resolve():
+                what = f"--force would delete {file}, which is read; expected another folder"
+                raise InputError(f"{out}: --out: {what}")
     folder, lock = _new_numbered(Path("runs"), name) if out is None else _made(out)
     _open_folders.append((folder, lock))
     try:

@@ -83,6 +83,19 @@ def test_a_replaced_run_is_kept_until_the_new_one_is_complete(tmp_path: Path) ->
     assert tree(tmp_path) == old | {"bus.log": "newest"}
 
 
+@pytest.mark.parametrize("words", [["replay"], ["replay", "--summary"], ["diagnose"]])
+def test_a_log_is_not_deleted_by_the_command_that_reads_it(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert cli.main(["run", "full_shift", "--no-report", "--out", str(run)]) == 0
+    log = run / "bus.log"
+    assert cli.main([*words, str(log), "--out", str(run), "--force"]) == 2
+    what = f"--force would delete {log}, which is read; expected another folder"
+    assert capsys.readouterr().err.splitlines()[-1] == f"opc4 {words[0]}: {run}: --out: {what}"
+    assert log.exists() and (run / "result.json").exists()
+
+
 def test_links_of_our_names_are_not_followed(tmp_path: Path) -> None:
     (outside := tmp_path / "outside").write_text("mine")
     (out := tmp_path / "out").mkdir()
