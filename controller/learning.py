@@ -269,13 +269,17 @@ class Sensitivities(Correction):
         return self.values[at], max(self.values[at + 1], ALIKE * ALIKE)
 
     def resisted(self, direction: int, share: float, variance: float) -> None:
-        """Move to what was measured, by how well it is known."""
+        """Move to what was measured, by how well it is known, half of the way at most.
+
+        One measurement alone, by a sensor that is about to fail, must not be relied on.
+        """
         at = 31 + 2 * direction
         mean, known = self.values[at : at + 2]
         known = min(known + self.mesh_drift, UNKNOWN_MESH * UNKNOWN_MESH)
-        weight = known / (known + variance)
-        moved = mean + weight * (share - mean)
-        self.values[at : at + 2] = min(max(moved, -0.5), 0.5), (1.0 - weight) * known
+        weight = min(known / (known + variance), 0.5)
+        moved, rest = mean + weight * (share - mean), 1.0 - weight
+        known = rest * rest * known + weight * weight * variance
+        self.values[at : at + 2] = min(max(moved, -0.5), 0.5), known
 
     def forget(self, direction: int) -> None:
         """Begin anew: what both directions have in common is in doubt as well."""

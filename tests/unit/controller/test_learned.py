@@ -58,9 +58,8 @@ def push(
     before_rad_s, needed_n_s = impulse_n_s / PER_RAD_S, friction * impulse_n_s + 1e-9
     start_ns, position_m = 10**9, 0.0
     given: list[Duties] = []
-    context = ShiftContext(
-        Gear.BACKWARD, Gear.BACKWARD, Chamber.B, Chamber.N, start_ns, 0, (None, None, None), None, 0
-    )._replace(**{"coil_k": 293.15} | shift)
+    first = Gear.BACKWARD, Gear.BACKWARD, Chamber.B, Chamber.N, start_ns, 0, (None, None, None)
+    context = ShiftContext(*first)._replace(**{"coil_k": 293.15} | shift)
     for ms in range(0, until_ms, 10):
         acted = strategy._programme
         at_s = 1e-3 * ms - 0.0065 - 0.0004
@@ -239,12 +238,19 @@ def test_after_a_fault_two_pushes_are_plain_and_nothing_is_practised(end: dict[s
     assert not plain(push(again, 60.0))
 
 
+def weighed(mesh: float) -> Learned:
+    """Return a unit that has found a meshing force in its gear backward again and again."""
+    made = practised()
+    for _ in range(20):
+        made.correction.resisted(0, mesh, 1e-5)
+    return made
+
+
 def test_the_heavier_a_gear_is_known_to_be_the_more_its_programmes_bear() -> None:
     """Each level is for 4 % more meshing force; beyond the last one the push is plain."""
     levels, given = [], []
     for mesh in (-0.3, -0.2, -0.05, 0.0, 0.1, 0.25):
-        strategy = practised()
-        strategy.correction.resisted(0, mesh, 1e-5)
+        strategy = weighed(mesh)
         given.append([push(strategy, n_s) for n_s in (65.0, 95.0, 150.0, 230.0)])
         levels.append(strategy._strong)
     assert levels == [0, 0, 1, 2, 5, 9]
@@ -255,8 +261,7 @@ def test_the_heavier_a_gear_is_known_to_be_the_more_its_programmes_bear() -> Non
 
 
 def test_a_programme_that_is_known_too_late_gives_way_to_one_of_the_next_level() -> None:
-    strategy = practised()
-    strategy.correction.resisted(0, 0.0, 1e-5)
+    strategy = weighed(0.0)
     push(strategy, 140.0)
     assert strategy._expected is not None
     expected = strategy._expected._replace(used_s=0.1175)
@@ -310,7 +315,7 @@ def test_a_light_push_weighs_the_teeth(travel_s: float, sign: int) -> None:
     strategy._weigh(expected, TABLE.release(log(16.0))[0], travel_s)
     heavier, variance = strategy.correction.heavier(0)
     assert (heavier > 0.0) - (heavier < 0.0) == sign
-    assert (variance < 0.001) == bool(sign)
+    assert (variance < 0.002) == bool(sign)
     strategy._weigh(expected, TABLE.release(log(60.0))[0], travel_s)
     assert strategy.correction.heavier(0) == (heavier, variance), "not a light one"
 
@@ -348,22 +353,6 @@ def test_errors_larger_than_expected_make_it_plain_until_they_are_not() -> None:
         strategy.correction.values[:30] = practised().correction.values[:30]
         given = push(strategy, 140.0)
     assert not plain(given)
-
-
-def test_two_stops_at_the_teeth_after_a_programme_make_many_pushes_plain() -> None:
-    """As by a valve that did not open again: good pushes in between are no sign that it has healed."""
-    strategy = practised()
-    assert not plain(push(strategy, 140.0))
-    assert strategy._release.released_s is not None
-    arrived = Estimate(True, 0.012, 0.012, 0.0, ())
-    for travel_s, plain_pushes in ((0.03, 0), (0.2, 2), (0.2, 2)):
-        strategy._release.arrived_s = strategy._release.released_s + travel_s
-        strategy._has_ended = False
-        strategy.ended(10**9, arrived, True, True)
-        assert strategy.correction.plain == plain_pushes
-    pushes = [plain(push(strategy, 140.0)) for _ in range(30)]
-    assert all(pushes[:6])
-    assert not pushes[-1]
 
 
 def test_a_push_that_ends_before_the_release_teaches_nothing() -> None:
