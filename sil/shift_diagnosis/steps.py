@@ -36,6 +36,11 @@ def of_difference(h: Floats, parts: Floats) -> Floats:
     return np.asarray(found)
 
 
+def residual(h: Floats, a: Floats) -> float:
+    """Return chi squared of estimates a [m] of precision h [m] about their mean."""
+    return float(np.sum(h * (a - np.average(a, weights=h)) ** 2))
+
+
 def step_gains(h: Floats, a: Floats) -> Floats:
     """Return chi squared gained by a step before each cell [m] or [m, p]; 0 before the first."""
     score = h * a
@@ -65,3 +70,17 @@ def ramp_costs(t: Floats, a: Floats, h: Floats) -> Floats:
     ramps -= (ramps @ h / h.sum())[:, None]
     gains = (ramps @ (h * rest)) ** 2 / np.maximum(ramps**2 @ h, 1e-12)
     return np.asarray(np.sum(h * rest**2) - gains)
+
+
+def drift_instead(t: Floats, a: Floats, h: Floats, at: int, later: Floats) -> tuple[float, float]:
+    """Return chi squared that one drift gains, and by how much two changes explain more.
+
+    t, a, h: mid, estimate and precision [m] of the cells; at: the cell of the first change; later: the
+    estimates from it on, without its own drift if it is one.
+    """
+    drift = float(ramp_costs(t, a, h).min())
+    second = min(
+        float((residual(h[at:], later) - step_gains(h[at:], later)).min()),
+        float(ramp_costs(t[at:], later, h[at:]).min()),
+    )
+    return residual(h, a) - drift, drift - residual(h[:at], a[:at]) - second

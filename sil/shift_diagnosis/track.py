@@ -1,8 +1,7 @@
 """One truck over months: parameters tracked shift by shift, changes dated, drifts extrapolated.
 
-Every shift gives the information and the score of the tracked sizes. They are summed over BLOCK
-shifts, and blocks over ever longer cells as they get older, so that the memory of a truck is
-bounded. After every block the cells since the last change are split at every border, and the mean
+Every shift gives the information and the score of the tracked sizes, summed over cells
+(`cells.py`). After every block of shifts the cells since the last change are split at every border, and the mean
 after it is compared with the mean before it, one parameter at a time (a generalised likelihood
 ratio). The scatter of the shifts, and of the trips, is estimated from the truck's own (`scatter.py`).
 Checked by: tests/unit/sil/shift_diagnosis/test_track.py
@@ -17,16 +16,20 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from sil.shift_diagnosis.cells import BLOCK, Cells
 from sil.shift_diagnosis.change import LINEAR, SEPARABLE, Change, Confirm
 from sil.shift_diagnosis.scatter import PAUSE_S, Scatter
-from sil.shift_diagnosis.steps import line_of, of_difference, ramp_costs, step_gains
+from sil.shift_diagnosis.steps import (
+    drift_instead,
+    line_of,
+    of_difference,
+    ramp_costs,
+    residual,
+    step_gains,
+)
 
 Floats = NDArray[np.float64]
 
-BLOCK: Final = 20
-"""Shifts that are summed before anything is tested."""
-CELLS: Final = 256
-"""Cells that a truck has at most; then two neighbours are merged for every new one."""
 FEWEST_CELLS: Final = 5
 """Cells before a change that make its baseline."""
 FEWEST_SHIFTS: Final = BLOCK * (FEWEST_CELLS + 1)
@@ -38,6 +41,9 @@ THRESHOLD: Final = 5.5
 simulation (`python -m tests.bench watch_rates`)."""
 RAMP_GAIN: Final = 4.0
 """Half chi squared by which a drift must be better than a step."""
+JOINED: Final = 11.0
+"""Chi squared by which two changes may explain more than one drift: as their two more numbers would
+among 256 cells by chance (Schwarz 1978)."""
 FEWEST_TRIPS: Final = 10
 """Trips from which a change can be found where there are several: how they differ is then known."""
 TRIPS: Final = 1.5
@@ -45,44 +51,22 @@ TRIPS: Final = 1.5
 
 
 @dataclass
-class Track:
+class Track(Cells):
     """The state of one truck.
 
-    names: of the parameters [p]. count, first, time_s [cells]; information [cells, p, p] and
-    score [cells, p] of the sizes; trips [cells]: how many trips a cell is, in all 1 for each trip;
     since: shift from which the present state counts; base: shift from which all are linearised at the
-    sizes `point` [p]; drifting: parameters that have drifted since then; trip_first, trip_cells,
-    last_s: of the present trip, its first shift, the number of its cells before any were merged, and
-    the time of its latest shift; is_open: the last cell takes more.
+    sizes `point` [p]; drifting: parameters that have drifted since then.
     """
 
-    names: tuple[str, ...]
-    count: NDArray[np.int64]
-    first: NDArray[np.int64]
-    time_s: Floats
-    information: Floats
-    score: Floats
-    trips: Floats
-    scatter: Scatter
-    shifts: int = 0
     since: int = 0
     base: int = 0
     point: Floats = field(default_factory=lambda: np.zeros(0))
     drifting: set[str] = field(default_factory=set)
     changes: list[Change] = field(default_factory=list)
-    trip_first: int = 0
-    trip_cells: int = 0
-    last_s: float = float("inf")
-    is_open: bool = False
 
-    @classmethod
-    def of(cls, names: tuple[str, ...]) -> Track:
-        """Return the state of a truck of which nothing is known."""
-        p = len(names)
-        return cls(
-            names, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0),
-            np.zeros((0, p, p)), np.zeros((0, p)), np.zeros(0), Scatter.of(p), point=np.zeros(p),
-        )  # fmt: skip
+    def __post_init__(self) -> None:
+        """Begin at sizes of 0."""
+        self.point = np.zeros(len(self.names))
 
     @property
     def verdict(self) -> str:
@@ -125,7 +109,7 @@ class Track:
                 take = min(room or BLOCK, end - at)
                 part = slice(at, at + take)
                 if not room:
-                    self._append(float(time_s[at]))
+                    self.begin_cell(float(time_s[at]))
                 self.count[-1] += take
                 self.information[-1] += information[part].sum(axis=0)
                 self.score[-1] += score[part].sum(axis=0)
@@ -145,67 +129,29 @@ class Track:
         """Test what there is of a cell, as at the end of a log; return the change found, if any."""
         return self._completed(confirm) if self.is_open else []
 
-    def _append(self, time_s: float) -> None:
-        p, k = len(self.names), self.trip_cells
-        self.count = np.append(self.count, 0)
-        self.first = np.append(self.first, self.shifts)
-        self.time_s = np.append(self.time_s, time_s)
-        self.information = np.concatenate([self.information, np.zeros((1, p, p))])
-        self.score = np.concatenate([self.score, np.zeros((1, p))])
-        self.trips[self.first[:-1] >= self.trip_first] *= k / (k + 1)
-        self.trips = np.append(self.trips, 1.0 / (k + 1))
-        self.trip_cells += 1
-        self.is_open = True
-
     def _completed(self, confirm: Confirm | None) -> list[Change]:
         """Return the change that a completed cell shows, if any."""
         self.is_open = False
         h = np.diagonal(self.information[-2:], axis1=1, axis2=2)
         change = self._tested(confirm)
+        self._date(self.shifts)
+        self._join()
         if change is not None:
             self.scatter.restart()
         else:
             self.scatter.add(h[-1], self.score[-1], int(self.count[-1]))
             if self.trip_cells > 1 and (self.count[-2:] == BLOCK).all():
                 self.scatter.compare(h, self.score[-2:])
-        self._merge()
+        self.merge(self.since, [self.base, *(change.shift for change in self.changes)])
         return [] if change is None else [change]
 
-    def _merge(self) -> None:
-        """Merge two neighbours, the finest for their distance from now and from the last change."""
-        if len(self.count) < CELLS:
-            return
-        second = self.first[1:]
-        reach = np.minimum(self.shifts - second, np.abs(second - self.since)) + BLOCK
-        width = (self.count[:-1] + self.count[1:]) / reach
-        borders = self.since, self.base, self.trip_first, *(change.shift for change in self.changes)
-        width[np.isin(second, borders)] = np.inf
-        groups = np.delete(np.arange(len(self.count)), int(np.argmin(width)) + 1)
-        for name in ("count", "information", "score", "trips"):
-            setattr(self, name, np.add.reduceat(getattr(self, name), groups, axis=0))
-        self.first, self.time_s = self.first[groups], self.time_s[groups]
-
     # --- testing ------------------------------------------------------------------------------
-    def _variances(self, cells: slice | NDArray[np.bool_]) -> tuple[Floats, Floats]:
-        """Return the variances [m, p] of cells' estimates, by their shifts and by their trips."""
-        h = np.diagonal(self.information[cells], axis1=1, axis2=2)
-        within = self.scatter.within2 / np.maximum(h, 1e-12)
-        return within, self.scatter.between2 / self.trips[cells, None]
-
-    def _segment(self, since: int) -> tuple[slice, Floats, Floats, Floats]:
-        """Return the cells since a shift, their precision and estimates [m, p], mid shifts [m]."""
-        cells = slice(int(np.searchsorted(self.first, since)), len(self.count))
-        h = np.diagonal(self.information[cells], axis1=1, axis2=2)
-        estimates = self.score[cells] / np.maximum(h, 1e-12)
-        precision = 1.0 / np.sum(self._variances(cells), axis=0)
-        return cells, precision, estimates, self.first[cells] + 0.5 * self.count[cells]
-
     def _limits2(self, cells: slice) -> Floats:
         """Return the square of the threshold [m, p] of a step before each cell.
 
         It is wider the less is known of the variances (Satterthwaite 1946, Wallace 1959).
         """
-        within, between = self._variances(cells)
+        within, between = self.variances(cells)
         h = 1.0 / (within + between)
         parts = [of_difference(h, h**2 * part) for part in (within, between)]
         of_shifts, of_trips = self.scatter.freedom
@@ -213,14 +159,11 @@ class Track:
         return np.asarray(freedom * np.expm1(THRESHOLD**2 / freedom))
 
     def _tested(self, confirm: Confirm | None) -> Change | None:
-        whole, h, a, t = self._segment(max(self.since, self.base))
+        whole, h, a, t = self.segment(max(self.since, self.base))
         if len(t) < FEWEST_CELLS + 1 or 1 < self.scatter.trips < FEWEST_TRIPS:
             return None
-        for name in self.drifting:  # the others see it, too
-            k = self.names.index(name)
-            line = line_of(t, a[:, k], h[:, k])[0]
-            own = np.diagonal(self.information[whole], axis1=1, axis2=2)
-            a -= self.information[whole, :, k] / np.maximum(own, 1e-12) * line[:, None]
+        for name in self.drifting:
+            a = self._without(name, int(self.first[whole.start]), a)
         gain = step_gains(h, a)
         if self.scatter.trips > 1:  # one trip alone can differ by its load, weather or clocks
             later = np.cumsum(self.trips[whole][::-1])[::-1]
@@ -229,7 +172,6 @@ class Track:
         j, k = divmod(int(np.argmax(share)), len(self.names))
         j += FEWEST_CELLS
         if not share.max() >= 1.0:
-            self._date(self.shifts)
             return None
         shift = int(self.first[whole.start + j])
         found = Change(
@@ -247,14 +189,49 @@ class Track:
             change = (
                 msgspec.structs.replace(change, sigma=max(linear, change.sigma)) if moved else None
             )
-        if change is None:
-            self._date(self.shifts)
-            return None
-        self._date(shift)
-        self.changes.append(change)
-        self.since, self.drifting = shift, set()
-        self._date(self.shifts)
+        if change is not None:
+            self._date(shift)
+            self.changes.append(change)
+            self.since, self.drifting = shift, set()
         return change
+
+    def _join(self) -> None:
+        """Make the latest changes one drift where that explains them about as well.
+
+        The first steps of a drift come before it can be distinguished from them, and perhaps by the
+        name of a parameter that looks like the one which drifts. Two steps soon after each other look
+        like a drift until as many shifts have followed.
+        """
+        while len(self.changes) > 1:
+            before, last = self.changes[-2:]
+            lasted = self.shifts - last.shift
+            if before.since < self.base or lasted < last.shift - before.shift:
+                return
+            whole, h, a, t = self.segment(before.since)
+            at = int(np.searchsorted(self.first[whole], before.shift))
+            later = a[at:] if last.since >= 0 else self._without(before.name, before.shift, a[at:])
+            drifts = {}
+            for name in {before.name, last.name, *before.alike, *last.alike}:
+                k = self.names.index(name)
+                drifts[name] = drift_instead(t, a[:, k], h[:, k], at, later[:, k])
+            name = max(drifts, key=drifts.__getitem__)
+            gain, worse = drifts[name]
+            if worse > JOINED:
+                return
+            alike = [o for o in self.names if o in drifts and drifts[o][0] > gain - SEPARABLE]
+            alike.remove(name)
+            drift = msgspec.structs.replace(last, name=name, alike=alike, since=before.since)
+            self.changes[-2:] = [drift]
+            self.since = drift.shift
+            self._date(self.shifts)
+
+    def _without(self, name: str, since: int, a: Floats) -> Floats:
+        """Return estimates [m, p] of the cells since a shift less a parameter's line: the others see it, too."""
+        whole, h, own, t = self.segment(since)
+        k = self.names.index(name)
+        line = line_of(t, own[:, k], h[:, k])[0]
+        diagonal = np.diagonal(self.information[whole], axis1=1, axis2=2)
+        return a - self.information[whole, :, k] / np.maximum(diagonal, 1e-12) * line[:, None]
 
     def _date(self, until: int) -> None:
         """Date the last change again by all shifts until one, as a step or the begin of a drift.
@@ -265,12 +242,12 @@ class Track:
         if change is None or change.since < 0:
             return
         k = self.names.index(change.name)
-        whole, h, a, t = self._segment(change.since)
+        whole, h, a, t = self.segment(change.since)
         own = t < until
         h, a, t = h[own, k], a[own, k], t[own]
         if len(t) < FEWEST_CELLS + 1:
             return
-        steps = float(np.sum(h * (a - np.average(a, weights=h)) ** 2)) - step_gains(h, a)
+        steps = residual(h, a) - step_gains(h, a)
         ramps = ramp_costs(t, a, h)
         steps[:FEWEST_CELLS], ramps[:FEWEST_CELLS] = np.inf, np.inf
         is_drift = bool(np.min(ramps) < np.min(steps) - 2.0 * RAMP_GAIN)
@@ -306,26 +283,10 @@ class Track:
     def _certainty(self, begin: int) -> Floats:
         """Return the precision [p] of the estimates since a cell, by that stated of their shifts."""
         h = np.diagonal(self.information[begin:], axis1=1, axis2=2).sum(axis=0)
-        precision = 1.0 / np.sum(self._variances(slice(begin, None)), axis=0)
+        precision = 1.0 / np.sum(self.variances(slice(begin, None)), axis=0)
         return np.asarray(precision.sum(axis=0) / np.maximum(h, 1e-12))
 
     # --- what is known now ----------------------------------------------------------------------
-    def estimates(self, k: int) -> tuple[Floats, Floats]:
-        """Return the estimate [cells] of parameter k in each cell, and its standard deviation."""
-        h = np.maximum(self.information[:, k, k], 1e-12)
-        variance = np.sum(self._variances(slice(None)), axis=0)[:, k]
-        return self.score[:, k] / h, np.sqrt(variance)
-
-    def level(self, k: int, begin: int, end: int | None = None) -> tuple[float, float]:
-        """Return the mean size of parameter k over shifts from begin to end, and its deviation."""
-        first = self.first
-        own = (first >= begin) & (first < (end if end is not None else self.shifts))
-        if not own.any():
-            return float("nan"), float("inf")
-        estimates, deviations = (each[own] for each in self.estimates(k))
-        weights = deviations**-2.0
-        return float(np.average(estimates, weights=weights)), float(weights.sum() ** -0.5)
-
     def moved(self) -> list[Floats]:
         """Return how far the parameters [p] have moved since the first shifts, by the changes found.
 
@@ -348,7 +309,7 @@ class Track:
 
     def drift(self, k: int) -> tuple[float, float, Floats]:
         """Return size now, slope per shift, and their covariance [2, 2], of a drifting parameter."""
-        _whole, h, a, t = self._segment(self.since)
+        _whole, h, a, t = self.segment(self.since)
         _fit, estimate, covariance = line_of(t - self.shifts, a[:, k], h[:, k])
         return float(estimate[0]), float(estimate[1]), covariance
 

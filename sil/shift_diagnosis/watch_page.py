@@ -17,8 +17,9 @@ from sil.files.output_folder import finite
 from sil.report.figure import Band, Figure, Panel, Rule, Series, Stack
 from sil.report.plots import plots
 from sil.report.shell import Head, render
+from sil.shift_diagnosis.cells import BLOCK
 from sil.shift_diagnosis.page import MEASURE
-from sil.shift_diagnosis.track import BLOCK, CHANGED, FEWEST_SHIFTS, FEWEST_TRIPS, THRESHOLD
+from sil.shift_diagnosis.track import CHANGED, FEWEST_SHIFTS, FEWEST_TRIPS, THRESHOLD
 from sil.shift_diagnosis.watch import Watched
 from sil.shift_diagnosis.watch_json import as_json
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sil.shift_diagnosis.track import BLOCK, CELLS, Track
+from sil.shift_diagnosis.cells import BLOCK, CELLS
+from sil.shift_diagnosis.track import Track
 from tests.bench.watch_rates import information_of, observed, watched
 
 
@@ -31,6 +32,26 @@ def test_a_drift_is_dated_and_its_slope_estimated() -> None:
     now, slope, covariance = track.drift(1)
     assert now == pytest.approx(2.0, abs=5.0 * float(np.sqrt(covariance[0, 0])))
     assert slope == pytest.approx(1.0 / 4000.0, rel=0.1)
+
+
+def test_a_drift_that_first_looked_like_steps_of_others_is_one_drift() -> None:
+    seed, begin, k = 2016, 9223, 0  # four steps by other names come before it is a drift
+    sizes = np.zeros((20_000, 12))
+    own = information_of(np.random.default_rng(seed))[k, k] ** -0.5
+    sizes[begin:, k] = 0.26 * own * np.arange(20_000 - begin) / 1000.0
+    (change,) = watched(sizes, seed).changes
+    assert (change.name, change.kind) == ("p0", "drift")
+    assert abs(change.shift - begin) <= 200 and change.low <= begin <= change.high
+
+
+@pytest.mark.parametrize("gap", [200, 1500])
+def test_two_steps_are_not_made_one_drift(gap: int) -> None:
+    sizes = np.zeros((12_000, 5))
+    sizes[4000:, 2] = 1.0
+    sizes[4000 + gap :, 2] = 2.0
+    changes = watched(sizes, 4).changes
+    assert [change.kind for change in changes] == ["step", "step"]
+    assert [abs(c.shift - at) <= BLOCK for c, at in zip(changes, (4000, 4000 + gap), strict=True)]
 
 
 def test_steady_trucks_have_no_change_and_bounded_memory() -> None:
