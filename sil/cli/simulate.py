@@ -24,7 +24,10 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate, write the campaign folder, print one line a stroke."""
+    """Simulate, write the campaign folder, print one line a stroke.
+
+    Raises InputError for a campaign or a record that is wrong, and an --out that is the campaign.
+    """
     from can_dbc.errors import InputError
     from plant.effects import overridden
     from plant.effects.user_file import load_effects
