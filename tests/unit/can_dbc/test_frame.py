@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from zlib import crc32
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_dbc.frame import MAX_ID, MAX_LENGTH, J1939Id, join_id, split_id
+from can_dbc.frame import MAX_ID, MAX_LENGTH, J1939Id, checksum, join_id, split_id
 
 
 @pytest.mark.parametrize(
@@ -31,6 +33,12 @@ def test_known_identifiers(can_id: int, parts: J1939Id) -> None:
 
 def test_classic_frames_with_29_bits_and_at_most_8_bytes() -> None:
     assert (MAX_ID, MAX_LENGTH) == (2**29 - 1, 8)
+
+
+def test_the_checksum_is_that_of_the_frame_as_linux_has_it() -> None:
+    whole = bytes.fromhex("9120ff8c 03000000 0102030000000000")  # flag of 29 bits in the identifier
+    assert checksum(0x0CFF2091, bytes([1, 2, 3])) == crc32(whole) & 0xFF
+    assert checksum(0x0CFF2091, bytes([1, 2, 4])) != checksum(0x0CFF2091, bytes([1, 2, 3]))
 
 
 def test_groups_without_a_destination_are_for_everybody() -> None:

@@ -48,11 +48,13 @@ def push(
     first_rad_s: float = 0.0,
     rest_m: float = 0.0,
     begin_ms: int = 60,
+    stuck_at: float = 0.0,
     **shift: Any,
 ) -> list[Duties]:
     """Push with a synchronizer that takes `friction` times the impulse that its speeds call for.
 
-    The speeds fall as the table has it from `begin_ms` on, and are lost from `lost_ms` on.
+    The speeds fall as the table has it from `begin_ms` on, to the share `stuck_at` of their difference,
+    and are lost from `lost_ms` on.
     """
     strategy.reset()
     before_rad_s, needed_n_s = impulse_n_s / PER_RAD_S, friction * impulse_n_s + 1e-9
@@ -67,7 +69,7 @@ def push(
             later_s = acted.released_s - acted.plain_s
             at_s = max(at_s - later_s, strategy._undisturbed_s)
         share = exp(TABLE.spent(at_s)[0]) / needed_n_s if ms > begin_ms else 0.0
-        apart_rad_s = before_rad_s * max(0.0, 1.0 - share) if ms < lost_ms else None
+        apart_rad_s = before_rad_s * max(stuck_at, 1.0 - share) if ms < lost_ms else None
         if ms == 0 and apart_rad_s is not None:
             apart_rad_s += first_rad_s
         position_m = 0.012 if share > 1.0 else rest_m if ms < 60 else 0.005
