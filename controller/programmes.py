@@ -94,13 +94,15 @@ class Table(NamedTuple):
 class Nearby(NamedTuple):
     """The tables around a supply pressure: `low` and `high`, and `between`, 0 at the lower one.
 
-    nearest: the table whose programmes are used.
+    safe: the table whose programmes are used, for no more pressure than there is: with less than it was
+    made for, a programme stalls thirty times as often at 0.25 bar.
     """
 
     nearest: Table
     low: Table
     high: Table
     between: float
+    safe: Table
 
     def release(self, log_impulse: float) -> tuple[float, float, float]:
         """Return when the plain push is released, s, its slope over the logarithm, s, and the row.
@@ -133,7 +135,8 @@ class Library:
             above += 1
         low, high = column[above - 1], column[above]
         between = (supply_pa - low.supply_pa) / (high.supply_pa - low.supply_pa)
-        return Nearby(high if between > 0.5 else low, low, high, between)
+        safe = high if between >= 1.0 else low
+        return Nearby(high if between > 0.5 else low, low, high, between, safe)
 
 
 def _pulses(fields: list[str]) -> tuple[Pulse, ...]:

@@ -36,8 +36,10 @@ COLDEST_K, REFERENCE_K, WARMEST_K = 253.15, 293.15, 343.15
 SLOW_S, SLOWEST_S = 0.0015, 0.0045
 """Valves that open so much later take the careful programmes of their impulse, which are proven for
 such valves as well; those that open later than the second have none."""
-CLOSE_NEAR_S, SUPPLY_NEAR_PA = 0.0025, 0.3e5
-"""A closing delay or supply further from those of the tables has no programmes: cold valves."""
+CLOSE_NEAR_S = 0.0025
+"""A closing delay further from those of the tables has no programmes: cold valves."""
+SUPPLY_PA = -0.05e5, 0.55e5
+"""Nor has a supply that is not within these limits of the table that is safe for it."""
 OPEN_S = 0.008
 """Opening delay of the valves (thesis 3.1.3)."""
 WARM_K, DRAG_FOLD_K = 328.15, 26.0
@@ -208,9 +210,9 @@ class Learned(IntoGear):
         later_s = REST_S + self._close_s - REST_CLOSE_S - rest_s
         self._late_s = own.late_s + AIR_S * exp(min(later_s / AIR_FOLD_S, 3.0))
         self._tables = self._library.near(own.supply_pa, self._close_s)
-        nearest = self._tables.nearest
-        self._plain |= abs(self._close_s - nearest.close_s) > CLOSE_NEAR_S
-        self._plain |= abs(own.supply_pa - nearest.supply_pa) > SUPPLY_NEAR_PA
+        table = self._tables.safe
+        self._plain |= abs(self._close_s - table.close_s) > CLOSE_NEAR_S
+        self._plain |= not SUPPLY_PA[0] <= own.supply_pa - table.supply_pa <= SUPPLY_PA[1]
 
     def decide(self, progress: Progress) -> Command:
         """Follow the programme that is expected to fit; its first act decides for it."""
@@ -236,7 +238,7 @@ class Learned(IntoGear):
         strength = self._strength(expected)
         if strength is None:
             return
-        table = self._tables.nearest
+        table = self._tables.safe
         target_s = expected.used_s - (self._close_s - table.close_s)
         if expected.offset.delay_s > SLOW_S:
             target_s -= expected.offset.delay_s

@@ -75,14 +75,15 @@ def test_between_pressures_and_beyond_them() -> None:
     near = library().near
     low, high = near(8.0e5, 0.035).nearest, near(8.5e5, 0.035).nearest
     middle = near(8.3e5, 0.036)
-    assert middle.nearest == high
+    assert middle.nearest == high and middle.safe == low  # no programme for more than there is
+    assert near(8.5e5, 0.035).safe == high and near(8.49e5, 0.035).safe == low
     assert (middle.low, middle.high) == (low, high)
     release_s, slope_s, share = middle.release(log(60.0))
     assert share == pytest.approx(log(60.0 / 16.0) / log(275.0 / 16.0), rel=1e-3)
     one, other = low.release(log(60.0)), high.release(log(60.0))
     assert release_s == pytest.approx(0.4 * one[0] + 0.6 * other[0])
     assert slope_s == pytest.approx(0.4 * one[1] + 0.6 * other[1])
-    assert near(1.0e6, 0.1).nearest == near(9e5, 0.039).nearest
+    assert near(1.0e6, 0.1).nearest == near(9e5, 0.039).nearest == near(9e5, 0.039).safe
     assert near(1.0e6, 0.035).release(log(60.0))[0] < near(9e5, 0.035).release(log(60.0))[0]
 
 
