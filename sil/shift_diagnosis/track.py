@@ -210,16 +210,17 @@ class Track(Cells):
             whole, h, a, t = self.segment(before.since)
             at = int(np.searchsorted(self.first[whole], before.shift))
             later = a[at:] if last.since >= 0 else self._without(before.name, before.shift, a[at:])
-            drifts = {}
-            for name in {before.name, last.name, *before.alike, *last.alike}:
-                k = self.names.index(name)
-                drifts[name] = drift_instead(t, a[:, k], h[:, k], at, later[:, k])
+            tried = {before.name, last.name, *before.alike, *last.alike}
+            drifts = {
+                name: drift_instead(t, a[:, k], h[:, k], at, later[:, k])
+                for k, name in enumerate(self.names)
+                if name in tried
+            }
             name = max(drifts, key=drifts.__getitem__)
-            gain, worse = drifts[name]
+            gain, worse = drifts.pop(name)
             if worse > JOINED:
                 return
-            alike = [o for o in self.names if o in drifts and drifts[o][0] > gain - SEPARABLE]
-            alike.remove(name)
+            alike = [other for other, own in drifts.items() if own[0] > gain - SEPARABLE]
             drift = msgspec.structs.replace(last, name=name, alike=alike, since=before.since)
             self.changes[-2:] = [drift]
             self.since = drift.shift

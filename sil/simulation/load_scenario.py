@@ -93,7 +93,7 @@ def from_table(
         files = [str(folder / file) for file in scenario.effects] + list(effects)
         raw["effects"] = list(dict.fromkeys(load_effects(file) for file in files))
     where = f"{source}: model_set" if model is None else "--model"
-    parameters = _parameters(raw.get("model_set", scenario.model_set), where)
+    parameters = parameters_of(raw.get("model_set", scenario.model_set), where)
     if seed is not None:
         raw["seed"] = seed
         scenario = _checked(raw, "--seed")
@@ -180,7 +180,8 @@ def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[
             yield prefix + key, value
 
 
-def _parameters(model_set: str, where: str) -> ParameterSet:
+def parameters_of(model_set: str, where: str) -> ParameterSet:
+    """Return a parameter set whose effects are known. Raises InputError that begins with `where`."""
     try:
         found = _nominal() if model_set == "nominal" else _load(model_set)
         if found.effects:

@@ -11,7 +11,6 @@ from msgspec import structs
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
-from plant.parameters import load as load_parameters
 from sil.simulation import load_scenario
 from sil.studies.assumptions import LEAST
 from sil.studies.fleet import FleetTable
@@ -63,16 +62,7 @@ def load_study(where: str, effects: Sequence[str] = (), model: str | None = None
         from plant.effects.user_file import load_effects
 
         study = structs.replace(study, effects=[load_effects(file) for file in files])
-    try:
-        parameters = load_parameters(study.model)
-        if parameters.effects:
-            from plant.effects import check_effects
-
-            check_effects(parameters.effects, parameters.name)
-    except InputError as error:
-        raise InputError(
-            f"{path}: model: {error}" if model is None else f"--model: {error}"
-        ) from None
+    load_scenario.parameters_of(study.model, f"{path}: model" if model is None else "--model")
     if study.kind == "learned" and study.truck is None:
         shipped_one = load_study("learned").study
         study = structs.replace(study, truck=shipped_one.truck, factor=shipped_one.factor)

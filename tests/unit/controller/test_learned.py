@@ -88,6 +88,14 @@ def plain(given: list[Duties]) -> bool:
     return set(given) == {PUSHES}
 
 
+@pytest.mark.parametrize(
+    ("supply_bar", "acts"), [(7.9, False), (8.0, True), (8.9, True), (9.5, True), (9.6, False)]
+)
+def test_a_supply_far_from_the_tables_makes_the_push_plain(supply_bar: float, acts: bool) -> None:
+    strategy = practised(supply_pa=1e5 * supply_bar)
+    assert plain(push(strategy, 70.0)) != acts
+
+
 @pytest.mark.parametrize("impulse_n_s", [60.0, 140.0, 170.0, 240.0])
 def test_it_vents_and_brakes_by_the_programme_and_pushes_again(impulse_n_s: float) -> None:
     strategy = practised()

@@ -137,7 +137,10 @@ def test_the_memory_is_handed_on_or_erased() -> None:
 
 
 def test_a_unit_that_is_given_the_truth_acts_at_once_and_is_softer() -> None:
-    """Than a new unit is in each of these shifts, on average: in some both take the same programme."""
+    """Than a new unit is in each of these shifts, on average: in some both take the same programme.
+
+    In the first one by 0.16 m/s: its supply is between two tables, and the lower one's programme counts.
+    """
     study = load_study(str(SHIPPED_STUDY))
     shifts, _exam = Truck(TABLE, POPULATION.factor, FleetTable(shifts=40), 2, NOMINAL).shifts()
     large = [
