@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sil.files.html_table import html_table
+from sil.files.quantity import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -60,7 +61,7 @@ class Sweep:
 
     def __repr__(self) -> str:
         rows = max((len(column) for column in self.numbers.values()), default=0)
-        return f"Sweep({rows} rows: {', '.join([*self.texts, *self.numbers])})"
+        return f"Sweep({counted(rows, 'row')}: {', '.join([*self.texts, *self.numbers])})"
 
     def _repr_html_(self) -> str:
         columns = [*self.texts.values(), *([f"{v:.6g}" for v in c] for c in self.numbers.values())]

@@ -22,6 +22,7 @@ import numpy as np
 from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_file
 from sil.campaign.binary_tables import BINARY, Floats, read_binary
+from sil.files.quantity import counted
 
 DELIMITERS = {"semicolon": ";", "tab": "\t", "comma": ",", "blank": " "}
 NUMBER = re.compile(
@@ -95,7 +96,7 @@ def sniff(path: Path, text: str, encoding: str) -> TextTable:
         "quoted header" if number and '"' in lines[number - 1] else "",
         units,
         "" if number else "no header row",
-        f"{number - 1} lines above the header" if number > 1 + bool(units) else "",
+        f"{counted(number - 1, 'line')} above the header" if number > 1 + bool(units) else "",
     ]
     return header, rows, number + 1, ", ".join(filter(None, features))
 
@@ -174,7 +175,7 @@ def read_columns(path: Path) -> tuple[dict[str, Floats], str, dict[str, str]]:
         raise InputError(f"{path}: line {first - 1}: {what}")
     count = len(next(iter(columns.values()), ()))
     if count < 2:
-        raise InputError(f"{path}: {count} samples; expected at least 2")
+        raise InputError(f"{path}: {counted(count, 'sample')}; expected at least 2")
     return columns, ", ".join(filter(None, (dialect, *notes))), {}
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sil.cli.options import JSON, SELECTION, argument
+from sil.files.quantity import counted
 
 if TYPE_CHECKING:
     from sil.coupling.response_times import PeriodicMessage
@@ -131,7 +132,9 @@ def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...
             if m.cycle_time
         }
         if unnamed := len(measured.messages) - len(names):
-            notes.append(f"{unnamed} messages are not in {arguments.dbc}: shown by identifier")
+            notes.append(
+                f"{counted(unnamed, 'message')} not in {arguments.dbc}, shown by identifier"
+            )
     messages = []
     for message in measured.messages:
         key = message.can_id, message.extended

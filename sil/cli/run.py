@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sil.cli.options import EFFECTS, JSON, MODEL, SEED, SETTINGS, argument, out, say
+from sil.files.quantity import counted
 
 if TYPE_CHECKING:
     from sil.simulation.metrics import Shift
@@ -173,9 +174,13 @@ def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
             )
         print(line)
     if len(finished.shifts) > SHIFTS_PRINTED:
-        print(f"  and {len(finished.shifts) - SHIFTS_PRINTED} shifts more, in result.json")
+        print(
+            f"  and {counted(len(finished.shifts) - SHIFTS_PRINTED, 'more shift')}, in result.json"
+        )
     if result.bus:
-        print(f"  bus {100 * result.bus['load']:.0f} % loaded, {result.bus['frames']} frames")
+        print(
+            f"  bus {100 * result.bus['load']:.0f} % loaded, {counted(result.bus['frames'], 'frame')}"
+        )
     if "late_p50_s" in result.speed:
         late = [f"{q} {1e3 * result.speed[f'late_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
         print(f"  real time: late by {', '.join(late)}; {result.speed['overruns']:.0f} overruns")

@@ -9,6 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from sil.cli.options import EFFECTS, JSON, SETTINGS, argument, out, say
+from sil.files.quantity import counted
 
 if TYPE_CHECKING:
     from sil.campaign.simulate import SimulatedStroke
@@ -90,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         found = {"campaign": campaign.name, "out": str(folder), "effects": stamps, "strokes": rows}
         print(json.dumps(finite(found)))
     else:
-        print(f"{len(rows)} strokes in {folder}", file=sys.stderr)
+        print(f"{counted(len(rows), 'stroke')} in {folder}", file=sys.stderr)
     return 0
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sil.cli.options import EFFECTS, JSON, argument, out
+from sil.files.quantity import counted
 
 if TYPE_CHECKING:
     from sil.studies.study import LoadedStudy
@@ -82,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(finite({"out": str(folder), "rows_now": now, **found})))
     else:
         _print_summary(study, found)
-        print(f"{found['rows']} rows ({now} run now) in {folder}")
+        print(f"{counted(found['rows'], 'row')} ({now} run now) in {folder}")
     close_folders(None)  # complete, also if rows could not run
     return exit_code(table)
 
@@ -102,7 +103,7 @@ def _folder(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
     stored = None if arguments.force else rows_to_resume(study, out)
     if stored is not None:
         raise InputError(
-            f"{out}: --out: holds {stored} of {study.size} rows of this study; "
+            f"{out}: --out: holds {stored} of {counted(study.size, 'row')} of this study; "
             "expected --resume to continue it, or --force to replace it"
         )
     return prepare_folder(out, study.study.name, arguments.force)
@@ -121,7 +122,7 @@ def _print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
             print(f"{name}: {_metrics_line(entry, read_metrics(study))}")
     counts = found["outcomes"]
     if counts["failed"] or counts["not_run"]:
-        print(f"{counts['failed']} rows failed, {counts['not_run']} could not run:")
+        print(f"{counted(counts['failed'], 'row')} failed, {counts['not_run']} could not run:")
         reasons = [each for each in found["reasons"] if each["outcome"] != "passed"]
         for each in reasons[:REASONS_PRINTED]:
             print(f"  {each['rows']} {each['outcome']}: {each['reason']} (row {each['first_row']})")
@@ -129,7 +130,7 @@ def _print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
 
 def _shift_line(entry: dict[str, Any]) -> str:
     """Return time, impact and failures of a group of shifts."""
-    parts = [f"{entry['rows']} rows"]
+    parts = [counted(entry["rows"], "row")]
     time, speed = entry.get("shift_time_s") or entry.get("arrival_s"), entry.get("impact_speed_m_s")
     if time:
         parts.append(f"time {1e3 * time['median']:.0f} ms ({1e3 * time['max']:.0f} at worst)")

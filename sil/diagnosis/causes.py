@@ -14,6 +14,7 @@ from sil.campaign.campaign import Campaign
 from sil.diagnosis.intervals import Interval, intervals
 from sil.diagnosis.terms import form_of
 from sil.diagnosis.verdict import Judged, Verdict
+from sil.files.quantity import counted
 from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.model_file import model_file
@@ -137,7 +138,7 @@ def extended_model(
     parameters: ParameterSet, final: FitResult, causes: Sequence[Cause], campaign: Campaign
 ) -> str:
     """Return the text of extended_model.toml: [base] and one [effect.<id>] for each claimed cause."""
-    source = f"diagnosed from campaign {campaign.name}, {len(campaign.strokes)} strokes"
+    source = f"diagnosed from campaign {campaign.name}, {counted(len(campaign.strokes), 'stroke')}"
     claimed = {item.id for item in final.candidates}
     tables = {
         f"effect.{name}": dict(table)

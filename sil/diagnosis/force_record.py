@@ -33,6 +33,7 @@ from sil.campaign.campaign import (
 )
 from sil.diagnosis.force_checks import odd_channels
 from sil.diagnosis.noise import noise_of
+from sil.files.quantity import counted
 
 FOLDS = 24
 """Most groups of strokes that are held out in turn."""
@@ -234,7 +235,7 @@ def _parts(record: Record, findings: list[str]) -> list[NDArray[np.int64]]:
     gaps = np.flatnonzero(steps > GAP_STEPS * np.median(steps))
     if len(gaps):
         findings.append(
-            f"{record.path.name}: time_s: {len(gaps)} gaps, the first of {steps[gaps[0]]:.3g} s at "
+            f"{record.path.name}: time_s: {counted(len(gaps), 'gap')}, the first of {steps[gaps[0]]:.3g} s at "
             f"{record.time_s[gaps[0]]:.4g} s; nothing is concluded across them"
         )
     return np.split(np.arange(len(record)), gaps + 1)

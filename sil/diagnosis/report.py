@@ -30,6 +30,7 @@ from sil.diagnosis.terms import form_of
 from sil.diagnosis.verdict import Judged
 from sil.diagnosis.workers import spread_out
 from sil.files.atomic import write_atomically
+from sil.files.quantity import noun
 from sil.fitting.refused import Tried
 from sil.report.picture import save
 from sil.report.plots import plots
@@ -202,7 +203,7 @@ def _parameter_lines(cause: Cause) -> list[str]:
 def _tiles(result: Diagnosis) -> list[tuple[str, str]]:
     """Return the figures at the top as (value, name)."""
     tiles = [
-        (str(len(result.model.strokes)), "strokes"),
+        (str(len(result.model.strokes)), noun(len(result.model.strokes), "stroke")),
         (str(len(result.held_out)), "of them held out"),
         (f"{result.gain.before:.3g}", "residual over expected, before"),
     ]

@@ -92,3 +92,13 @@ def comparison(name: str, value: Any, limit: Any, unit: str = "") -> str:
         ]:
             digits += 1
     return f"{name}: {quantity(value, unit, digits)}, expected {limits(limit, unit, digits)}"
+
+
+def noun(count: int, what: str) -> str:
+    """Return a noun as it follows a number: "shift" after 1, else "shifts"."""
+    return what if count == 1 else f"{what}s"
+
+
+def counted(count: int, what: str) -> str:
+    """Return a number with its noun: "1 shift", "3 shifts"."""
+    return f"{count} {noun(count, what)}"

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from plant.errors import IntegrationError
+from sil.files.quantity import counted
 from sil.fitting.hypotheses import Candidate
 
 
@@ -38,7 +39,7 @@ class Tried:
     def __str__(self) -> str:
         given_up = f", {self.lost} of its fits given up" if self.lost else ""
         return (
-            f"{self.refused} of {self.tried} values tried cannot be simulated and are left out"
+            f"{self.refused} of {counted(self.tried, 'value')} tried cannot be simulated: left out"
             f"{given_up}; the first: {self.first}"
         )
 

@@ -21,6 +21,7 @@ from plant.effects import Effect, EffectParameter
 from plant.effects.setup import Setup
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats
+from sil.files.quantity import counted
 from sil.fitting.fit import Fitter, Show, no_progress
 from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate
@@ -85,7 +86,7 @@ def fit_factors(
         for entry in strokes
     ]
     model = TangentModel(observed, Spread.of(parameters))
-    source = f"whole-record fit of {len(strokes)} strokes with their scatter"
+    source = f"whole-record fit of {counted(len(strokes), 'stroke')} with their scatter"
 
     def change(setup: Setup, values: dict[str, float]) -> None:
         for path, index in indices.items():

@@ -15,6 +15,7 @@ from plant.parameters import ParameterSet
 from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign, Floats
+from sil.files.quantity import counted
 from sil.fitting.fit import Show, no_progress
 from sil.fitting.observations import nominal_noise
 from sil.identify.estimate import Estimate, Identified
@@ -128,7 +129,7 @@ def identify_alpha(
     # a flow map known to 1 % carries over to alpha_m, a volume known to 1 % to both
     floor = np.array([0.015, 0.012, 0.015, 0.012])
     source = (
-        f"least squares on both pressures of {len(strokes)} strokes with imposed position; "
+        f"least squares on both pressures of {counted(len(strokes), 'stroke')} with imposed position; "
         "interval includes 1 % of flow and of volume"
     )
     centres = fit.x[:4]

@@ -22,6 +22,7 @@ from plant.systems.driven import chamber_along
 from plant.systems.setup import make_setup
 from plant.systems.stroke import valve_moves
 from sil.campaign.campaign import Campaign, Floats, Record
+from sil.files.quantity import counted
 from sil.fitting.fit import Show, no_progress
 from sil.fitting.observations import nominal_noise
 from sil.identify.estimate import Estimate, Identified
@@ -274,14 +275,14 @@ def _identify_direction(
     scatter = float(np.std(y - fit))
     band = 100.0 * scatter / float(np.mean(np.abs(y))) / max(1.0, (len(x) / 40) ** 0.5) * 1.96
     source = (
-        f"identified from {len(fitted)} records of {word}, alpha_m {alpha:g} assumed; "
+        f"identified from {counted(len(fitted), 'record')} of {word}, alpha_m {alpha:g} assumed; "
         f"95 % band of the mean flow +-{band:.2f} %"
     )
     estimates = [
         Estimate(f"{section}.{key}", coefficients, None, None, source)
         for key, coefficients in (("c_low", near), ("c_high", far))
     ]
-    note = f"{word}: {len(x)} points from {len(fitted)} records, scatter {scatter:.2e}"
+    note = f"{word}: {counted(len(x), 'point')} from {counted(len(fitted), 'record')}, scatter {scatter:.2e}"
     shown = np.argsort(x)[::7]
     lines = [
         Series("measured", x[shown], y[shown], "measured", "dots"),

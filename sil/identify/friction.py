@@ -14,6 +14,7 @@ from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
+from sil.files.quantity import counted
 from sil.fitting.fit import Show, no_progress
 from sil.identify.campaign_fit import fit_factors
 from sil.identify.estimate import Estimate, Identified
@@ -137,8 +138,8 @@ def identify_friction(
     # the instant is not known better than its fit, the same way in every stroke: no averaging out
     half = float(np.hypot(scatter, 1.96 * np.mean(doubts)))
     lows, highs = np.percentile(lines, [2.5, 97.5], axis=0).tolist()
-    about = f"F - m a against v, {n} strokes"
-    first = f"net force at first motion, {n} strokes"
+    about = f"F - m a against v, {counted(n, 'stroke')}"
+    first = f"net force at first motion, {counted(n, 'stroke')}"
     thesis = (
         Estimate("friction_fixed.F_sf", mean, mean - half, mean + half, first),
         Estimate("friction_fixed.F_rf", offset, lows[1], highs[1], about),

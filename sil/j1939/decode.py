@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Unpack
 from can_dbc.dbc import load_dbc
 from can_dbc.errors import InputError
 from can_dbc.frame import split_id
+from sil.files.quantity import counted
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
 from sil.logs.merged import Reading, open_logs
@@ -78,7 +79,7 @@ class DecodeReport:
     def lines(self) -> list[str]:
         """Return the report as text, one fact per line."""
         found = [
-            f"{self.target}: {self.values} values of {self.messages.total()} messages "
+            f"{self.target}: {counted(self.values, 'value')} of {counted(self.messages.total(), 'message')} "
             f"({', '.join(f'{n} {name}' for name, n in self.messages.most_common())})"
         ]
         found += [f"not decoded: {n} {name}" for name, n in self.broken.items()]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from can_dbc.errors import InputError
 from can_dbc.frame import split_id
+from sil.files.quantity import counted
 from sil.logs.frame import LogFrame
 
 if TYPE_CHECKING:
@@ -105,11 +106,15 @@ def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
         )
     notes = []
     if rare := len(found) - len(measured):
-        notes.append(f"{rare} messages come too rarely to be measured, left out")
+        notes.append(f"{counted(rare, 'message')} too rare to be measured, left out")
     if fd:
-        notes.append(f"{fd} CAN FD frames left out: the analysis covers classic CAN only")
+        notes.append(
+            f"{counted(fd, 'CAN FD frame')} left out: the analysis covers classic CAN only"
+        )
     if irregular := sum(1 for message in measured if not message.periodic):
-        notes.append(f"{irregular} messages are not periodic: taken by their mean interval (~)")
+        notes.append(
+            f"{counted(irregular, 'message')} not periodic: taken by the mean interval (~)"
+        )
     return MeasuredBus(sorted(measured, key=lambda message: message.period_ns), notes)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from can_dbc.frame import split_id
 from can_dbc.messages import GEAR_PARK
+from sil.files.quantity import counted
 from sil.j1939.engine import PGN_EEC1, EngineFigures, EngineTrace
 from sil.j1939.gear_history import PGN_ETC2, SETTLE_NS, GearHistory
 from sil.j1939.shift_flag import PGN_ETC1, FlagTracker
@@ -149,8 +150,8 @@ class ShiftFinder:
                 )
             if silent := [shift for shift in tracker.shifts if shift.silent_ns]:
                 self.notes.append(
-                    f"source {sender[1]:#04x}: not recorded for over 1 s in {len(silent)} shifts, "
-                    "whose times are therefore not known better"
+                    f"source {sender[1]:#04x}: not recorded for over 1 s in {counted(len(silent), 'shift')}, "
+                    "so no times in them are known better"
                 )
             found += self._flagged(sender, tracker)
         flagged = found

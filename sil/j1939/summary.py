@@ -10,6 +10,7 @@ from itertools import chain
 from typing import Any, Final
 
 from can_dbc.frame import split_id
+from sil.files.quantity import counted
 from sil.j1939.engine import EngineTrace
 from sil.j1939.shifts import Shift, ShiftFinder
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
@@ -74,19 +75,21 @@ class J1939Summary:
 
     def lines(self) -> list[str]:
         """Return the summary as text, shifts first."""
-        found = [f"{len(self.shifts)} shifts in {self.frames} frames"]
+        found = [f"{counted(len(self.shifts), 'shift')} in {counted(self.frames, 'frame')}"]
         begin_ns = self.first_ns or 0
         found += [
             f"  {number}. +{(shift.start_ns - begin_ns) / 1e9:.3f} s: {shift}"
             for number, shift in enumerate(self.shifts, 1)
         ]
         if self.unflagged:
-            found.append(f"{len(self.unflagged)} changes of gear outside of flagged shifts")
+            found.append(
+                f"{counted(len(self.unflagged), 'change')} of gear outside of flagged shifts"
+            )
             found += [f"  {shift}" for shift in self.unflagged]
         if self.chatter:
             found.append(f"{self.chatter} one-sample changes of the flag or gear left out")
         if self.unfinished:
-            found.append(f"{self.unfinished} shifts without beginning or end in the log")
+            found.append(f"{counted(self.unfinished, 'shift')} without beginning or end in the log")
         return found + self.transport.lines() + self.notes
 
 

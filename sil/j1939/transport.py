@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from can_dbc.frame import Frame, join_id, split_id
+from sil.files.quantity import counted
 from sil.logs.frame import LogFrame
 from sil.logs.times import format_ns
 
@@ -115,7 +116,7 @@ class Assembler:
         """Return what was put together and what was lost as text, nothing if there was neither."""
         if not self.assembled and not self.lost:
             return []
-        found = [f"{self.assembled} messages of the transport protocol put together"]
+        found = [f"{counted(self.assembled, 'message')} of the transport protocol put together"]
         found += [f"not put together: {count}: {name}" for name, count in sorted(self.lost.items())]
         return found + [f"  {location}" for location in self.locations]
 

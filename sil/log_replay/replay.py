@@ -17,6 +17,7 @@ from can_dbc.messages import ShiftRequest, ValveCommand
 from controller.node import ControllerNode
 from sil.coupling.transports.channel import Participant
 from sil.files.html_table import html_table
+from sil.files.quantity import counted
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings
@@ -322,7 +323,7 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
         notes.append(f"replayed but not in the recording, not compared: {missing}")
     if outcome.comparison.warm_up_ticks:
         notes.append(
-            f"{outcome.comparison.warm_up_ticks} ticks left out at the beginning, until the control unit "
+            f"{counted(outcome.comparison.warm_up_ticks, 'tick')} left out at the beginning, until the control unit "
             f"that starts now agreed with the one that was at work, its position to {FORGOTTEN_M:g} m"
         )
     for kind, count in outcome.comparison.damaged.items():
@@ -335,7 +336,9 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
             "are by the control unit's, from the log's first frame on"
         )
     if frames.reordered:
-        notes.append(f"{frames.reordered} frames out of order, taken as of the latest time before")
+        notes.append(
+            f"{counted(frames.reordered, 'frame')} out of order, taken as of the latest time before"
+        )
     if left_out := outcome.read.lockstep_line():
         notes.append(f"log: {left_out}")
     if not outcome.read.clean:

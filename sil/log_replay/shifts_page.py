@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from sil.files.quantity import counted, noun
 from sil.j1939.engine import EngineTrace
 from sil.j1939.shifts import Shift, gear_name
 from sil.j1939.summary import J1939Summary
@@ -45,10 +46,10 @@ def shifts_page(found: J1939Summary, log: str, command: str, folder: Path) -> st
     head = Head(
         command="replay",
         name=log,
-        verdict=f"{len(found.shifts)} shifts",
+        verdict=counted(len(found.shifts), "shift"),
         tiles=[
-            (f"{found.frames}", "frames"),
-            (f"{len(found.shifts)}", "shifts"),
+            (f"{found.frames}", noun(found.frames, "frame")),
+            (f"{len(found.shifts)}", noun(len(found.shifts), "shift")),
             (f"{median(times_s):.3f} s" if times_s else "none", "median shift time"),
         ],
         again=command,

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from itertools import takewhile
 from typing import Any
 
+from sil.files.quantity import counted
 from sil.log_replay.comparison import Difference, StateHistory
 from sil.log_replay.edges import shift_text
 from sil.log_replay.excerpts import waveforms
@@ -18,12 +19,12 @@ def verdict(outcome: ReplayResult) -> str:
     """Return the one line that says it all."""
     found = outcome.comparison
     if not found.differs:
-        text = f"no difference in {found.ticks} ticks"
+        text = f"no difference in {counted(found.ticks, 'tick')}"
         if outcome.request.reference is not None:
             text += f" between the firmware here and that of {outcome.labels[0]}"
     else:
         signals = sum(1 for entry in found.signals.values() if entry.differing)
-        text = f"{found.differing_ticks} of {found.ticks} ticks differ, in {signals} signals"
+        text = f"{found.differing_ticks} of {counted(found.ticks, 'tick')} differ, in {counted(signals, 'signal')}"
     if outcome.plant is not None and outcome.request.plant:
         text += f"; {attribution(outcome)}"
     return text
@@ -217,7 +218,9 @@ def plant_lines(outcome: ReplayResult) -> list[str]:
         share = f"{plant.differing} of {plant.compared}"
         lines.append(f"plant alone on the recorded commands: {share} frames differ")
         if plant.unmatched:
-            lines.append(f"{plant.unmatched} recorded frames of the plant without a counterpart")
+            lines.append(
+                f"{counted(plant.unmatched, 'recorded frame')} of the plant without a counterpart"
+            )
         lines += [f"{name}: at most {x:.6g} apart" for name, x in sorted(plant.largest.items())]
         if plant.first is not None:
             when, (name, a, b) = _when(outcome, plant.first.time_ns), plant.first.signals[0]
@@ -239,7 +242,7 @@ def _signal_lines(outcome: ReplayResult) -> list[str]:
             share, when = f"{entry.differing} of {entry.compared}", _when(outcome, entry.first_ns)
             lines.append(f"{name}: {share} differ{size}, first at {when}")
     equal = sum(1 for entry in outcome.comparison.signals.values() if not entry.differing)
-    return [*lines, f"{equal} signals without a difference"]
+    return [*lines, f"{counted(equal, 'signal')} without a difference"]
 
 
 def _account_line(outcome: ReplayResult) -> str:
@@ -254,7 +257,9 @@ def _account_line(outcome: ReplayResult) -> str:
         parts.append(f"{account.unheard.total()} inputs while off the bus")
     if account.other:
         parts.append(f"{account.other.total()} others")
-    return f"{account.total} of {outcome.frames} frames accounted for: {', '.join(parts)}"
+    return (
+        f"{account.total} of {counted(outcome.frames, 'frame')} accounted for: {', '.join(parts)}"
+    )
 
 
 def account_lines(outcome: ReplayResult) -> list[str]:

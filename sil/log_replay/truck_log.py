@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from can_dbc.errors import InputError
 from can_dbc.frame import join_id
 from sil.coupling.clock import NS_PER_S
+from sil.files.quantity import counted
 from sil.j1939.gear_history import PGN_ETC2
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.j1939.shift_flag import PGN_ETC1
@@ -165,12 +166,18 @@ class TruckLog:
         self.shifts = finder.finish()
         self.notes = list(finder.notes)
         if finder.unfinished:
-            self.notes.append(f"{finder.unfinished} shifts without beginning or end in the log")
+            self.notes.append(
+                f"{counted(finder.unfinished, 'shift')} without beginning or end in the log"
+            )
         if self._short and not self.mapping.is_standard:
-            self.notes.append(f"{self._short} frames shorter than the DBC states, left out")
+            self.notes.append(
+                f"{counted(self._short, 'frame')} shorter than the DBC states, left out"
+            )
         if finder.unflagged:
             count = len(finder.unflagged)
-            self.notes.append(f"{count} changes of gear outside of flagged shifts, not compared")
+            self.notes.append(
+                f"{counted(count, 'change')} of gear outside of flagged shifts, not compared"
+            )
         self._series = {
             sender: series for sender, series in self._series.items() if series.times_ns
         }
@@ -196,11 +203,11 @@ class TruckLog:
         if missing:
             raise InputError(
                 f"{self.path}: no ValveCommand of our control unit, and no {', no '.join(missing)} among "
-                f"{self.frames} frames; expected both of a truck's transmission, or --map FILE"
+                f"{counted(self.frames, 'frame')}; expected both of a truck's transmission, or --map FILE"
             )
         if not self.shifts:
             raise InputError(
-                f"{self.path}: no gear shift among {self.frames} frames"
+                f"{self.path}: no gear shift among {counted(self.frames, 'frame')}"
                 f"{''.join(f'; {note}' for note in self.notes)}; expected a log of a drive"
             )
 

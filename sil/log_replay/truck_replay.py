@@ -17,6 +17,7 @@ from can_dbc.errors import InputError
 from can_dbc.messages import ValveCommand
 from sil.files.output_folder import finite
 from sil.files.progress import Progress
+from sil.files.quantity import counted
 from sil.j1939.mapping import ANY_SOURCE, SignalMapping
 from sil.j1939.shifts import TRANSMISSION, gear_name
 from sil.log_replay.options import firmware_of
@@ -294,12 +295,16 @@ def columns_of(replay: TruckReplay) -> list[str]:
 def summary_lines(replay: TruckReplay) -> list[str]:
     """Return what the command prints: each shift in a line, then the statistics."""
     log = replay.log
-    lines = [f"{log.path}: {len(replay.shifts)} shifts in {log.frames} frames of a truck's log"]
+    lines = [
+        f"{log.path}: {counted(len(replay.shifts), 'shift')} in {counted(log.frames, 'frame')} of a truck's log"
+    ]
     lines += [f"  {shift.title}: {verdict(shift)[0]}" for shift in replay.shifts]
     for column, variant in enumerate(replay.variants):
         less, same, more = quicker(replay, column)
         name = f"{variant.name} ({variant.changes})" if variant.changes else variant.name
-        lines.append(f"{name}: quicker in {less} shifts, as quick in {same}, slower in {more}")
+        lines.append(
+            f"{name}: quicker in {counted(less, 'shift')}, as quick in {same}, slower in {more}"
+        )
     for row in statistics(replay):
         cells = [
             f"{name} {cell['median']:.3f} ({cell['p95']:.3f})"

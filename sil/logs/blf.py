@@ -11,6 +11,7 @@ from collections.abc import Generator, Iterator
 from typing import Final
 
 from can_dbc.errors import InputError
+from sil.files.quantity import counted
 from sil.logs import blf_objects as layout
 from sil.logs.format import ZONE_NOTE, Batch, Format, time_base
 from sil.logs.frame import LogFrame
@@ -77,7 +78,9 @@ class BlfReader:
             location = container or offset + (pos if problem is None else begin)
             if problem is not None:
                 pos = layout.next_object(data, pos + (4 if found >= 0 else 0))
-                self._skip(f"{problem}, {pos - begin} bytes left out", location, container)
+                self._skip(
+                    f"{problem}, {counted(pos - begin, 'byte')} left out", location, container
+                )
                 continue
             header_size, version, size, kind = layout.OBJECT.unpack_from(data, pos)[1:]
             if pos + size > end:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Unpack
 
 from can_dbc.errors import InputError
+from sil.files.quantity import counted
 from sil.logs.merged import Reading, open_logs
 from sil.logs.registry import open_writer
 from sil.logs.report import LogReport
@@ -49,10 +50,10 @@ class ConvertReport:
         """Return the report as text, one fact per line."""
         if self.signals is not None:
             return [
-                f"{self.target}: {self.signals.rows} rows of {len(self.signals.names)} signals "
+                f"{self.target}: {counted(self.signals.rows, 'row')} of {counted(len(self.signals.names), 'signal')} "
                 f"({', '.join(self.signals.names)})"
             ]
-        found = [f"{self.target}: {self.written} frames ({self.format})"]
+        found = [f"{self.target}: {counted(self.written, 'frame')} ({self.format})"]
         found += [f"lost: {name}: {count}" for name, count in sorted(self.losses.items())]
         if self.read is not None:
             found.append(f"{self.source}:")

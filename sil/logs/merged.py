@@ -13,6 +13,7 @@ from typing import Any, TypedDict, Unpack
 
 from can_dbc.errors import InputError
 from sil.files.progress import Progress
+from sil.files.quantity import counted
 from sil.logs.frame import MAX_TIME_NS, LogFrame
 from sil.logs.reader import LogReader
 from sil.logs.registry import open_log
@@ -172,7 +173,7 @@ class Logs:
                 yield f"{report.path}: no frames"
                 continue
             first_ns, last_ns = report.first_ns + part.offset_ns, report.last_ns + part.offset_ns
-            line = f"{report.path}: {report.frames} frames, {format_ns(first_ns)} s to {format_ns(last_ns)} s"
+            line = f"{report.path}: {counted(report.frames, 'frame')}, {format_ns(first_ns)} s to {format_ns(last_ns)} s"
             if end_ns is not None and first_ns > end_ns:
                 line += f", after a gap of {(first_ns - end_ns) / NS_PER_S:.6f} s"
             elif end_ns is not None:

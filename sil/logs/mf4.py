@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 
 from can_dbc.errors import InputError
 from sil.files.extras import import_extra
+from sil.files.quantity import counted
 from sil.logs.format import Batch, Format, time_base
 from sil.logs.frame import LogFrame, frame_problem
 from sil.logs.mf4_blocks import VARIABLE_LENGTH, Blocks
@@ -299,14 +300,12 @@ def _frames(file: Mf4File, stream: _Stream, ordered: bool) -> Iterator[tuple[int
             else:
                 report.skip(Location(f"{kind} record {count}: {problem}"))
     if file.cut and (missing := lost + expected - count):
-        report.note(f"{missing} {kind} records are missing in all")
+        report.note(f"{counted(missing, f'{kind} record')} missing in all")
     elif lost:
-        text = f"{lost} {kind} records in damaged blocks left out"
+        text = f"{counted(lost, f'{kind} record')} in damaged blocks left out"
         report.skip(Location(text, byte=file.lost[0][0]), lost)
     if count < expected:
-        report.cut(
-            Location(f"{kind} record {count + 1} and {expected - count - 1} more are missing")
-        )
+        report.cut(Location(f"{count} of {counted(expected, f'{kind} record')}"))
 
 
 def new_measurement(path: str, start_ns: int) -> Any:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 from can_dbc.errors import InputError
+from sil.files.quantity import counted
 
 MOST_LOCATIONS: Final = 10
 """Locations of each kind that a report holds; all of them are counted."""
@@ -143,7 +144,7 @@ class LogReport:
         """Return what was left out of the capture of a lockstep run; empty if it is none."""
         if not self.lockstep:
             return ""
-        counts = ", ".join(f"{count} {name}" for name, count in sorted(self.lockstep.items()))
+        counts = ", ".join(f"{name} ({count})" for name, count in sorted(self.lockstep.items()))
         return f"recorded during a lockstep run: times are simulated; left out: {counts}"
 
     def as_dict(self) -> dict[str, Any]:
@@ -155,7 +156,10 @@ class LogReport:
 
     def lines(self) -> list[str]:
         """Return the report as text: one fact per line, only what is there."""
-        found = [f"{self.frames} frames ({self.format}, {self.time_base} times)", *self.files]
+        found = [
+            f"{counted(self.frames, 'frame')} ({self.format}, {self.time_base} times)",
+            *self.files,
+        ]
         for name in ("error", "remote", "fd"):
             count = getattr(self, name)
             if count:

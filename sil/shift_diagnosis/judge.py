@@ -20,6 +20,7 @@ import numpy as np
 from plant.parameters import ParameterSet
 from sil.diagnosis.workers import Stages
 from sil.files.progress import Progress
+from sil.files.quantity import counted
 from sil.fitting.fit import no_progress
 from sil.shift_diagnosis.fit import Fitter, fits_of
 from sil.shift_diagnosis.healthy import (
@@ -80,9 +81,9 @@ def judge_shifts(
     stages = Stages(progress or no_progress)
     left_out = Counter[str]()
     used = spread(with_speeds(shifts, left_out), MOST_SHIFTS)
-    missing = [f"{n} shifts {why} left out" for why, n in left_out.items()]
+    missing = [f"{counted(n, 'shift')} {why} left out" for why, n in left_out.items()]
     if len(used) < FEWEST_SHIFTS:
-        text = f"{len(used)} usable shifts; at least {FEWEST_SHIFTS} are needed to judge"
+        text = f"{counted(len(used), 'usable shift')}; at least {FEWEST_SHIFTS} are needed to judge"
         return ShiftDiagnosis(
             "cannot_tell", tuple(used), (), {}, (), True, NOISE, (text, *missing), {}
         )

@@ -18,6 +18,7 @@ from sil.diagnosis.causes import diagnosis_json
 from sil.diagnosis.intervals import Interval
 from sil.files.atomic import write_atomically
 from sil.files.progress import Progress
+from sil.files.quantity import counted, noun
 from sil.fitting.model_file import model_file
 from sil.j1939.mapping import SignalMapping
 from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
@@ -80,7 +81,7 @@ def reported(found: ShiftDiagnosis) -> list[Reported]:
         assert cause is not None
         text = f"{cause.effect.what}: {cause.parameter.name} {interval(item)}"
         behind = found.healthy.cost - item.cost
-        text += f"; over {len(found.shifts)} shifts it gains {behind:.1f} in log evidence, and chi "
+        text += f"; over {counted(len(found.shifts), 'shift')} it gains {behind:.1f} in log evidence, and chi "
         text += f"squared per number falls from {found.healthy.chi2:.2f} to {item.chi2:.2f}"
         ids = {other.id for other in found.named}
         if alike := [name for name in alike_of(found, cause) if name in ids]:
@@ -129,7 +130,9 @@ def as_json(found: ShiftDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
     causes = reported(found)
     concerned = {cause.id for cause in causes}
     rivals = [g for g in groups_of(found) if concerned.intersection(g["causes"])]
-    findings = list(found.findings) + [f"{n} shifts {why} left out" for why, n in skipped.items()]
+    findings = list(found.findings) + [
+        f"{counted(n, 'shift')} {why} left out" for why, n in skipped.items()
+    ]
     if found.judged:
         findings.append(
             "on a gearbox" if found.mounted else "on a rig without gearbox, by its mass"
@@ -190,7 +193,10 @@ def extended_model(found: ShiftDiagnosis, base: str) -> str:
     (item,) = found.named
     cause = item.fit.cause
     assert cause is not None
-    own, source = interval(item), f"diagnosed from {len(found.shifts)} shifts of a truck's log"
+    own, source = (
+        interval(item),
+        f"diagnosed from {counted(len(found.shifts), 'shift')} of a truck's log",
+    )
     units = {p.name: p.unit for p in cause.effect.parameters}
     table = {
         name: Parameter(value, units[name], source)
@@ -267,7 +273,7 @@ def write_files(
         alt = "Recorded and modelled positions of shifts, with residuals"
         pictures.append(Picture(save(figure, folder, "shifts"), alt, caption))
         groups = plots(figure)
-    tiles = [(str(len(found.shifts)), "shifts judged")]
+    tiles = [(str(len(found.shifts)), noun(len(found.shifts), "shift") + " judged")]
     if found.judged:
         shown = {item.id: item for item in (found.healthy, found.best)}
         tiles += [

@@ -28,6 +28,7 @@ from sil.coupling.processes import ChildProcess
 from sil.coupling.transports.channel import ParticipantLost
 from sil.coupling.transports.relay import Relay
 from sil.coupling.transports.wire import GUEST
+from sil.files.quantity import counted
 from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
 from sil.recording.run_reader import event_of, open_trace
 from sil.simulation import build
@@ -124,7 +125,7 @@ class FreeRun:
         for message in figures["messages"]:
             if (message["missing"] or 0) > MISSING_SHARE * message["frames"]:
                 self.warnings.append(
-                    f"{message['name']}: {message['missing']} frames missing, {message['frames']} on "
+                    f"{message['name']}: {counted(message['missing'], 'frame')} missing, {message['frames']} on "
                     "the bus; this machine was too busy, or its sender was away"
                 )
         return RunSummary(0, figures["frames"], wall_s, None)
@@ -251,11 +252,11 @@ def jitter_lines(figures: dict[str, Any]) -> list[str]:
     lines = ["real time, each node by its own clock; distance of frames from their period:"]
     for m in figures["messages"]:
         if m["jitter_max_s"] is None:
-            lines.append(f"  {m['name']}: {m['frames']} frames")
+            lines.append(f"  {m['name']}: {counted(m['frames'], 'frame')}")
             continue
         off = [f"{q} {1e3 * m[f'jitter_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
         lost = f", {m['missing']} missing" if m["missing"] else ""
         lines.append(
-            f"  {m['name']} every {1e3 * m['period_s']:g} ms: {m['frames']} frames{lost}, {', '.join(off)}"
+            f"  {m['name']} every {1e3 * m['period_s']:g} ms: {counted(m['frames'], 'frame')}{lost}, {', '.join(off)}"
         )
     return lines

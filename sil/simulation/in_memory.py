@@ -22,7 +22,7 @@ from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep
 from sil.coupling.transports.channel import InProcess, Participant
 from sil.files.html_table import html_table
-from sil.files.quantity import quantity
+from sil.files.quantity import counted, quantity
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
 from sil.recording.run_record import BusFrame, Floats, PlantEvent, RunRecord
 from sil.simulation import build, metrics
@@ -98,8 +98,8 @@ class Run:
         met = sum(check.passed for check in self.checks)
         time = quantity(self.metrics["shift_time_s"], "s")
         return (
-            f"Run({'passed' if self.passed else 'failed'}, {met} of {len(self.checks)} checks met, "
-            f"{len(self.shifts)} shifts in {time}, {len(self.frames)} frames, "
+            f"Run({'passed' if self.passed else 'failed'}, {met} of {counted(len(self.checks), 'check')} met, "
+            f"{counted(len(self.shifts), 'shift')} in {time}, {counted(len(self.frames), 'frame')}, "
             f"trace {self.trace_sha256[:12]})"
         )
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.messages import Fault, Gear
+from sil.files.quantity import counted
 from sil.report.figure import Figure, Panel, Span, Stack
 from sil.studies.figures import numbered, title_of
 from sil.studies.study import LoadedStudy
@@ -56,12 +57,12 @@ def safe_states(study: LoadedStudy, table: Table) -> list[str]:
     silent = int(np.isnan(table.numbers["reported_gear"]).sum())
     reported = int((table.numbers["fault_bits"] > 0.0).sum())
     return [
-        f"{table.size} runs; a fault was reported in {reported}, no report was accepted at the end of "
+        f"{counted(table.size, 'run')}; a fault was reported in {reported}, no report was accepted at the end of "
         f"{silent}.",
-        f"A valve energised without a living controller: in {orphans} runs.",
+        f"A valve energised without a living controller: in {counted(orphans, 'run')}.",
         f"A gear reported that the stay was not in: for {1e3 * longest:.0f} ms at the longest; "
         f"a motion can take {1e3 * sight:.0f} ms to be observed, longer than that in {_where(study, table, false > sight)}.",
-        f"The stay ended between its gears: in {half} runs.",
+        f"The stay ended between its gears: in {counted(half, 'run')}.",
     ]
 
 
@@ -70,7 +71,7 @@ def _where(study: LoadedStudy, table: Table, flags: NDArray[np.bool_]) -> str:
     names = list(study.groups)[:-1]
     faults = [", ".join(table.texts[name][i] for name in names) for i in np.flatnonzero(flags)]
     listed = f" ({'; '.join(dict.fromkeys(faults))})" if any(faults) else ""
-    return f"{len(faults)} runs{listed}"
+    return f"{counted(len(faults), 'run')}{listed}"
 
 
 def rows(study: LoadedStudy, table: Table) -> Iterator[tuple[str, ...]]:

@@ -42,7 +42,7 @@ def test_a_log_of_a_truck_gives_the_comparison_page(tmp_path: Path, capsys: Capt
     log = write_log(tmp_path / "truck.asc", ONE.frames())
     assert main(["replay", str(log), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
-    assert "1 shifts in" in printed and "1. 3 to 4: " in printed and " quicker: " in printed
+    assert "1 shift in" in printed and "1. 3 to 4: " in printed and " quicker: " in printed
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"diff.txt", "report.html", "shifts.png", "shift_1.png", "shift_1.svg"} <= files
     page = (tmp_path / "out/report.html").read_text()

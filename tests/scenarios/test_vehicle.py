@@ -128,7 +128,7 @@ def test_replay_finds_the_shift_and_no_difference(
     log = str(tmp_path / "bus.log")
     assert main(["replay", "--summary", log]) == 0
     summary = capsys.readouterr().out
-    assert "1 shifts in" in summary and ": 10 to 11, ratio 1.55 to 1.24, source 0x03" in summary
+    assert "1 shift in" in summary and ": 10 to 11, ratio 1.55 to 1.24, source 0x03" in summary
     assert main(["replay", log]) == 0
     assert "no difference in 300 ticks" in capsys.readouterr().out
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from can_dbc import typed_toml
 from controller.learning import Sensitivities
+from sil.files.quantity import counted
 from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
@@ -189,7 +190,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     beyond = int(np.sum((harder_m_s > HARDER_M_S) | (lost_s > LONGER_S)))
     claimed = own.get("controller.strategy") == LEARNED
     if beyond and claimed:
-        reasons.append(f"{beyond} shifts beyond the limits against the open loop")
+        reasons.append(f"{counted(beyond, 'shift')} beyond the limits against the open loop")
     year = table.shifts_per_year[0] / len(found)
     figures = (
         *np.quantile(impact_m_s, (0.5, 0.95, 1.0)),
@@ -299,7 +300,7 @@ def _markdown(study: LoadedStudy, table: Table) -> str:
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return what is possible and how fast it is learned; how often each impact and lost time is."""
     fleet, groups = study.study.fleet, row_groups(study, table)
-    text = f"{fleet.trucks} trucks, {fleet.shifts} shifts each"
+    text = f"{counted(fleet.trucks, 'truck')}, {counted(fleet.shifts, 'shift')} each"
     stacks = [Stack("shift", [_learning(study, table)], width=7.0)]
     if fleet.examined_after:
         stacks.insert(0, Stack(KNOWN, [_possible(study, table)], width=7.0))

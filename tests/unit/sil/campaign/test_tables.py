@@ -261,7 +261,7 @@ def test_stamps_with_a_time_zone_are_read_without_a_warning(tmp_path: Path, zone
 def test_blank_lines_are_no_samples(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("time_s,x\n0,1\n\n\n", encoding="utf-8")
-    with pytest.raises(InputError, match="1 samples; expected at least 2"):
+    with pytest.raises(InputError, match="1 sample; expected at least 2"):
         read_record(file)
 
 

@@ -108,8 +108,8 @@ def test_periods_and_jitter_measured_from_a_log(
     assert by_name["Plain"]["period_s"] == pytest.approx(0.05, abs=3e-4)
     assert 0.002 < by_name["Plain"]["jitter_s"] < 0.0045
     assert by_name["18EF0003 ~"]["period_s"] == pytest.approx(0.1, rel=0.03)
-    assert any("1 messages come too rarely" in note for note in found["notes"])
-    assert any("1 messages are not periodic" in note for note in found["notes"])
+    assert any("1 message too rare" in note for note in found["notes"])
+    assert any("1 message not periodic" in note for note in found["notes"])
 
 
 def test_the_period_of_intervals_that_alternate_is_their_mean(

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from sil.files.quantity import comparison, quantity, unit_of
+from sil.files.quantity import comparison, counted, quantity, unit_of
 
 
 @pytest.mark.parametrize(
@@ -37,3 +37,8 @@ def test_units_follow_from_names() -> None:
         "Pa/s", "N m", "V", "Ω",
     ]  # fmt: skip
     assert quantity(900_000.0, "Pa") == "9 bar" and quantity(2.0, "s") == "2 s"
+
+
+@pytest.mark.parametrize(("count", "text"), [(0, "0 shifts"), (1, "1 shift"), (2, "2 shifts")])
+def test_a_noun_follows_its_number(count: int, text: str) -> None:
+    assert counted(count, "shift") == text

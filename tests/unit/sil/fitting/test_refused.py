@@ -49,7 +49,7 @@ def test_refused_values_are_counted_and_the_first_is_reported() -> None:
     first = "factor 1.25 in stroke_001.csv: too many events"
     assert found == {"exhaust_clog": Tried(("exhaust_clog",), 3, 2, 0, first)}
     assert str(found["exhaust_clog"]) == (
-        f"2 of 3 values tried cannot be simulated and are left out; the first: {first}"
+        f"2 of 3 values tried cannot be simulated: left out; the first: {first}"
     )
 
 
@@ -97,7 +97,7 @@ def test_refusals_of_a_leading_cause_are_findings_and_others_are_not() -> None:
     both.join(refused(FORCE))
     fits = {item[0].name: fit_of(item, 200.0) for item in (CLOG, FORCE)}
     (text,) = findings(both, claimed=("exhaust_clog",), fits=fits)
-    assert text.startswith("rig: exhaust_clog: 1 of 1 values tried")
+    assert text.startswith("rig: exhaust_clog: 1 of 1 value tried")
     assert findings(refused(()), claimed=("exhaust_clog",)) == []  # the healthy model's own
 
 

@@ -83,7 +83,7 @@ def test_a_row_for_each_value(log: Path) -> None:
     assert report.unknown == {"124": 1, "18FEF100": 1}
     text = "\n".join(report.lines())
     assert "2 frames of 2 identifiers: 124 (1), 18FEF100 (1)" in text
-    assert "1 messages of the transport protocol put together" in text
+    assert "1 message of the transport protocol put together" in text
 
 
 def test_the_same_values_in_mf4(log: Path) -> None:

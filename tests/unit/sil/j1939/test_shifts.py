@@ -512,4 +512,4 @@ def test_a_gap_within_a_flagged_shift_is_stated() -> None:
     assert second.duration_s == pytest.approx(3.6, abs=0.02)
     assert second.silent_ns / 1e9 == pytest.approx(3.0, abs=0.02)
     assert "3.0" in str(second) and "of it not recorded" in str(second)
-    assert any("not recorded for over 1 s in 1 shifts" in note for note in found.notes)
+    assert any("not recorded for over 1 s in 1 shift," in note for note in found.notes)

@@ -59,7 +59,7 @@ def test_a_broadcast_recorded_elsewhere_is_put_together() -> None:
     found, assembler = assembled(recorded(frames))
     data = "5014bb7a44b6201cd16022e1e02ee1c044ffff7509c0440341dc7de17a440000ffff"
     assert found == [Message(50_000_000, 65251, 0, 255, bytes.fromhex(data)[:34])]
-    assert assembler.lines() == ["1 messages of the transport protocol put together"]
+    assert assembler.lines() == ["1 message of the transport protocol put together"]
     assert broadcast(65251, 0, found[0].data) == frames
 
 
