@@ -15,8 +15,9 @@ import shlex
 import sys
 from pathlib import Path
 
-from can_dbc.errors import InputError, unknown_name
+from can_dbc.errors import InputError
 from sil.cli.options import JSON, argument
+from sil.files.quantity import counted
 
 EXAMPLE = """\
 example:
@@ -51,9 +52,11 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import finite, locked_folder
     from sil.files.progress import Progress
     from sil.j1939.mapping import SignalMapping
+    from sil.shift_diagnosis.store import STORE
     from sil.shift_diagnosis.track import CHANGED
-    from sil.shift_diagnosis.watch import STORE, Watch, log_files
+    from sil.shift_diagnosis.watch import Watch
     from sil.shift_diagnosis.watch_page import write_watch
+    from sil.shift_diagnosis.watched_files import log_files
 
     limits = dict(map(_limit, arguments.limit))
     files = list(log_files(arguments.target))
@@ -62,20 +65,20 @@ def run(arguments: argparse.Namespace) -> int:
     out = arguments.out or Path("runs") / f"{Path(arguments.target[0]).resolve().stem}-watch"
     parameters, is_new = load_actuator(arguments.model), not out.exists()
     with locked_folder(out) as folder:
+        for part in folder.glob(".*.part"):  # of a watch that was killed
+            part.unlink()
+        had_store = (folder / STORE).exists()
         watch = Watch(folder / STORE, parameters, mapping)
         try:
             with Progress("watching", "logs") as progress:
                 found = watch.take(files, progress)
-            known = {name for truck in watch.trucks() for name in truck.track.names}
-            for name in limits:
-                if name not in known:
-                    raise InputError(f"--limit {name}: {unknown_name(name, sorted(known))}")
             again = shlex.join(["opc4", *sys.argv[1:]])
-            values = finite(write_watch(list(watch.trucks()), limits, folder, again))
+            values = finite(write_watch(watch.trucks(), limits, folder, again))
         except (InputError, OSError):
-            if is_new and not list(watch.trucks()):
+            if not had_store and watch.is_empty:
                 (folder / STORE).unlink()
-                folder.rmdir()
+                if is_new:
+                    folder.rmdir()
             raise
         finally:
             watch.close()
@@ -83,7 +86,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(values, ensure_ascii=False))
     else:
         _print(values)
-        print(f"  {len(found)} changes in new logs; written to {folder}", file=sys.stderr)
+        print(
+            f"  {counted(len(found), 'change')} in new logs; written to {folder}", file=sys.stderr
+        )
     return int(any(truck["verdict"] in CHANGED for truck in values["trucks"]))
 
 
@@ -101,7 +106,8 @@ def _limit(text: str) -> tuple[str, float]:
 def _print(values: dict) -> None:  # type: ignore[type-arg]
     for truck in values["trucks"]:
         print(
-            f"{truck['truck']}: {truck['verdict']}, {truck['shifts']} shifts of {truck['logs']} logs"
+            f"{truck['truck']}: {truck['verdict']}, {counted(truck['shifts'], 'shift')} of "
+            f"{counted(truck['logs'], 'log')}"
         )
         for line in truck["lines"]:
             print(f"  {line}")

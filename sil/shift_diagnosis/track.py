@@ -111,8 +111,9 @@ class Track(Cells):
                 if not room:
                     self.begin_cell(float(time_s[at]))
                 self.count[-1] += take
-                self.information[-1] += information[part].sum(axis=0)
-                self.score[-1] += score[part].sum(axis=0)
+                # shift by shift: the sums must not depend on how many come in one call
+                self.information[-1] = np.vstack([self.information[-1:], information[part]]).sum(0)
+                self.score[-1] = np.vstack([self.score[-1:], score[part]]).sum(0)
                 self.shifts += take
                 at += take
                 if self.count[-1] == BLOCK:

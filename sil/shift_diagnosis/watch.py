@@ -1,28 +1,23 @@
-"""Trucks watched over months: logs taken once, each in one transaction of an SQLite store.
+"""Trucks watched over months: each log taken once, its shifts judged, the truck's track stored.
 
 Checked by: tests/unit/sil/shift_diagnosis/test_watch.py
 """
 
 from __future__ import annotations
 
-import os
-import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
-import msgspec
 import numpy as np
 
-from can_dbc.errors import InputError
 from plant.parameters import ParameterSet
 from sil.files.progress import Progress
 from sil.j1939.mapping import SignalMapping
-from sil.logs import FORMATS
 from sil.shift_diagnosis.change import Change
 from sil.shift_diagnosis.confirm import Confirming
 from sil.shift_diagnosis.healthy import FIT_SHIFTS, loaded_fit, rest_noise_m
@@ -30,53 +25,16 @@ from sil.shift_diagnosis.linear import Floats, Noise, linearise
 from sil.shift_diagnosis.loads import CONE, own_loads, with_speeds, without_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.store import Reference, Store, Taken, Watched
 from sil.shift_diagnosis.track import Track
 from sil.shift_diagnosis.verdict import LARGEST
+from sil.shift_diagnosis.watched_files import in_time, is_observations, observed, require_names
 
-STORE: Final = "watch.sqlite"
-STORE_VERSION: Final = 5
 AT_ONCE: Final = 200
 """Shifts that are simulated in one call."""
 ODD: Final = 8.0
 """Chi squared by that of the truck's usual shifts from which a shift is odd: reported, not tracked."""
 MOST_ODD: Final = 200
-OBSERVATIONS: Final = "time_s,"
-"""How a file of per-shift observations begins: time_s, then NAME and NAME_sd of every parameter."""
-
-_TABLES: Final = """
-create table if not exists log (truck text, path text, size integer, first integer, shifts integer,
-  skipped integer, primary key (truck, path));
-create table if not exists truck (name text primary key, reference blob, track blob);
-create table if not exists odd (truck text, number integer, time_s real, path text, chi2 real);
-"""
-
-
-class Reference(msgspec.Struct):
-    """Where a truck's shifts are linearised: its own quantities, as its first log shows them.
-
-    values: in prior standard deviations; chi2: per number, of its usual shifts; loads: those that
-    each shift has of its own.
-    """
-
-    mounted: bool
-    values: list[float]
-    noise_m: float
-    scatter: float
-    chi2: float
-    shifts: int
-    loads: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Watched:
-    """One truck as the store has it.  change_logs: the log that begins with or holds each change."""
-
-    name: str
-    track: Track
-    logs: int
-    change_logs: list[str]
-    skipped: int
-    odd: list[tuple[int, float, str, float]]
 
 
 def tracked_causes() -> list[Cause]:
@@ -89,35 +47,10 @@ def tracked_causes() -> list[Cause]:
     return list(found.values())
 
 
-def log_files(targets: Sequence[str]) -> Iterator[tuple[str, Path]]:
-    """Yield (truck, log): a file's truck is its folder; under a folder, the first folder below it.
-
-    Raises InputError for what does not exist, or a folder without logs.
-    """
-    suffixes = {suffix for one in FORMATS.values() for suffix in one.suffixes}
-    for target in targets:
-        path = Path(target)
-        if path.is_file():
-            yield path.resolve().parent.name, path
-            continue
-        if not path.is_dir():
-            raise InputError(f"{target}: no such file or folder; expected logs or a folder of them")
-        files = sorted(
-            file
-            for file in path.rglob("*")
-            if file.is_file() and Path(file.name.removesuffix(".gz")).suffix.lower() in suffixes
-        )
-        if not files:
-            raise InputError(f"{target}: no log in it; expected {', '.join(sorted(suffixes))}")
-        for file in files:
-            inside = file.relative_to(path).parts
-            yield inside[0] if len(inside) > 1 else path.resolve().name, file
-
-
 class Watch:
-    """The store of a watch, and the model that its trucks' shifts are compared with.
+    """A store, and the model that its trucks' shifts are compared with.
 
-    Raises InputError for a store that is none, or of another version.
+    Raises InputError as the store does.
     """
 
     def __init__(
@@ -126,94 +59,69 @@ class Watch:
         self._parameters, self._mapping = parameters, mapping
         self._causes = tracked_causes()
         self._models: dict[bool, PlantModel] = {}
-        self._connection = sqlite3.connect(store, isolation_level=None)
-        try:
-            self._require_version(store)
-        except InputError:
-            self.close()
-            raise
-        self._connection.executescript(_TABLES + f"pragma user_version = {STORE_VERSION};")
+        self._store = Store(store, parameters)
 
-    def _require_version(self, store: Path) -> None:
-        run = self._connection.execute
-        try:
-            (tables,) = run("select count(*) from sqlite_schema").fetchone()
-            (version,) = run("pragma user_version").fetchone()
-        except sqlite3.DatabaseError as error:
-            raise InputError(f"{store}: {error}; expected the store of a watch") from None
-        if tables and version != STORE_VERSION:
-            raise InputError(
-                f"{store}: a store of version {version}; expected version {STORE_VERSION}: choose "
-                "another folder by --out, where all logs are taken anew"
-            )
+    @property
+    def is_empty(self) -> bool:
+        """Whether no log has been taken yet."""
+        return self._store.is_empty
 
     def close(self) -> None:
         """Close the store."""
-        self._connection.close()
+        self._store.close()
+
+    def trucks(self) -> Iterator[Watched]:
+        """Yield every truck of the store, by name."""
+        return self._store.trucks()
 
     def take(
         self, files: Sequence[tuple[str, Path]], progress: Progress
     ) -> list[tuple[str, Change]]:
         """Take the logs that the store does not have; return the changes found, by truck.
 
-        Raises InputError for a log that cannot be read; those before it are stored.
+        Those of a truck are taken by the time at which they begin, or in the order given where one
+        of them has no time of day. Raises InputError for a log that cannot be read; those before it
+        are stored.
         """
+        new: dict[str, dict[Path, None]] = {}
+        for truck, path in files:
+            if not self._store.has_path(truck, path):
+                new.setdefault(truck, {})[path] = None
+        ordered = [(truck, path) for truck, own in new.items() for path in in_time(own)]
         found: list[tuple[str, Change]] = []
-        for number, (truck, path) in enumerate(files):
-            progress(float(number), float(len(files)))
+        for number, (truck, path) in enumerate(ordered):
+            progress(float(number), float(len(ordered)))
             found += [(truck, change) for change in self._take_log(truck, path)]
         return found
 
     def _take_log(self, truck: str, path: Path) -> list[Change]:
-        run, name = self._connection.execute, os.path.relpath(path)
-        size = path.stat().st_size
-        have = run("select size from log where truck = ? and path = ?", (truck, name)).fetchone()
-        if have is not None:
-            if have[0] != size:
-                raise InputError(
-                    f"{name}: {size} bytes, {have[0]} when it was taken; expected a log that is "
-                    "complete, or another name for what follows"
-                )
-            return []
-        row = run("select reference, track from truck where name = ?", (truck,)).fetchone()
-        track = None if row is None else Track.from_bytes(row[1])
-        reference = None
-        if row is not None and row[0] is not None:
-            reference = msgspec.msgpack.decode(row[0], type=Reference)
-        first = 0 if track is None else track.shifts
-        run("begin")
-        try:
-            if _is_observations(path):
-                track, changes, count = _observations(path, track)
-                skipped = 0
+        with self._store.transaction():
+            if self._store.has_content(truck, path):
+                return []
+            track, reference = self._store.truck(truck)
+            first = 0 if track is None else track.shifts
+            if is_observations(path):
+                track, changes, taken = observed(path, track)
             else:
-                track, reference, changes, count, skipped = self._shifts(
-                    truck, name, track, reference
-                )
-            stored = None if reference is None else msgspec.msgpack.encode(reference)
-            values = truck, name, size, first, count, skipped
-            run("insert into log values (?, ?, ?, ?, ?, ?)", values)
-            run("insert or replace into truck values (?, ?, ?)", (truck, stored, track.to_bytes()))
-            run("commit")
-        except BaseException:
-            run("rollback")
-            raise
+                track, reference, changes, taken = self._shifts(truck, path, track, reference)
+            self._store.add_log(truck, path, first, taken)
+            self._store.put_truck(truck, track, reference)
         return changes
 
     def _shifts(
-        self, truck: str, path: str, track: Track | None, reference: Reference | None
-    ) -> tuple[Track, Reference | None, list[Change], int, int]:
+        self, truck: str, path: Path, track: Track | None, reference: Reference | None
+    ) -> tuple[Track, Reference | None, list[Change], Taken]:
         """Judge the shifts of a log in the order in which they come."""
         track = track or Track.of(tuple(cause.effect.id for cause in self._causes))
-        _require_names(path, track, [cause.effect.id for cause in self._causes])
+        require_names(path, track, [cause.effect.id for cause in self._causes])
         skipped = Counter[str]()
-        shifts = shifts_of(path, self._parameters, self._mapping, skipped)
+        shifts = shifts_of(str(path), self._parameters, self._mapping, skipped)
         changes: list[Change] = []
-        count, confirm = 0, None
+        taken, confirm = Taken(), None
         while some := list(islice(shifts, AT_ONCE)):
             some = with_speeds(some, skipped)
             reference = reference or self._reference(some)
-            count += len(some)
+            taken = taken.after([shift.begin_s for shift in some])
             model = self._model(reference.mounted)
             at = np.array(reference.values)
             cone = CONE if without_speeds(some) else ()  # a later log may lack what the first had
@@ -231,8 +139,8 @@ class Watch:
             # after a lasting change every shift is far from the first ones: then none is odd
             odd &= bool(np.mean(odd) < 0.1)
             for k in np.flatnonzero(odd).tolist()[:MOST_ODD]:
-                values = truck, track.shifts, some[k].begin_s, path, float(chi2[k])
-                self._connection.execute("insert into odd values (?, ?, ?, ?, ?)", values)
+                number, begin_s = track.shifts, some[k].begin_s
+                self._store.add_odd(truck, number, begin_s, path, float(chi2[k]))
             n, usual = linear.units, ~odd
             linear = linear.without_cliffs()  # what is about to stick would count by far too much
             times = np.array([shift.begin_s for shift in some])
@@ -244,7 +152,7 @@ class Watch:
             )  # fmt: skip
             changes += track.take(information, score, times[usual], confirm)
         changes += track.end_cell(confirm)
-        return track, reference, changes, count, sum(skipped.values())
+        return track, reference, changes, replace(taken, skipped=sum(skipped.values()))
 
     def _present(
         self,
@@ -292,78 +200,3 @@ class Watch:
             mounted, best.values.tolist(), noise.position_m, noise.scatter, max(chi2, 0.1), len(few),
             noise.loads,
         )  # fmt: skip
-
-    def trucks(self) -> Iterator[Watched]:
-        """Yield every truck of the store, by name."""
-        run = self._connection.execute
-        for name, stored in run("select name, track from truck order by name").fetchall():
-            track = Track.from_bytes(stored)
-            logs, skipped = run(
-                "select count(*), sum(skipped) from log where truck = ?", (name,)
-            ).fetchone()
-            odd = run(
-                "select number, time_s, path, chi2 from odd where truck = ? order by number desc limit 20",
-                (name,),
-            ).fetchall()
-            change_logs = [self._log_at(name, change.shift) for change in track.changes]
-            yield Watched(name, track, logs, change_logs, skipped, odd)
-
-    def _log_at(self, truck: str, shift: int) -> str:
-        """Return the log that holds a tracked shift of a truck."""
-        (path,) = self._connection.execute(
-            "select path from log where truck = ? and first <= ? order by first desc, rowid desc limit 1",
-            (truck, shift),
-        ).fetchone()
-        return str(path)
-
-
-def _is_observations(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(len(OBSERVATIONS)) == OBSERVATIONS.encode()
-
-
-def _require_names(path: str, track: Track, names: Sequence[str]) -> None:
-    if list(track.names) != list(names):
-        raise InputError(
-            f"{path}: parameters {', '.join(names)}; expected those that the truck has in the store: "
-            f"{', '.join(track.names)}"
-        )
-
-
-def _observations(path: Path, track: Track | None) -> tuple[Track, list[Change], int]:
-    """Take a file of per-shift observations: estimates with standard deviations."""
-    changes: list[Change] = []
-    count = 0
-    with path.open(encoding="utf-8-sig") as file:
-        head = [word.strip() for word in file.readline().split(",")]
-        names = tuple(head[1::2])
-        if not names or head[2::2] != [f"{name}_sd" for name in names]:
-            raise InputError(
-                f"{path}: line 1: {','.join(head)[:80]}; expected time_s, then NAME and NAME_sd"
-            )
-        track = track or Track.of(names)
-        _require_names(str(path), track, names)
-        while lines := list(islice(file, 5000)):
-            rows = _rows(path, lines, len(head), count + 2)
-            count += len(rows)
-            weight = rows[:, 2::2] ** -2.0
-            information = np.zeros((len(rows), len(names), len(names)))
-            information[:, range(len(names)), range(len(names))] = weight
-            changes += track.take(information, weight * rows[:, 1::2], rows[:, 0])
-    return track, changes, count
-
-
-def _rows(path: Path, lines: Sequence[str], columns: int, first: int) -> Floats:
-    rows = np.empty((len(lines), columns))
-    for k, line in enumerate(lines):
-        try:
-            rows[k] = [float(word) for word in line.split(",")]
-        except ValueError:
-            raise InputError(
-                f"{path}: line {first + k}: {line.strip()[:60]!r}; expected {columns} numbers"
-            ) from None
-    if not np.isfinite(rows).all() or not (rows[:, 2::2] > 0.0).all():
-        raise InputError(
-            f"{path}: from line {first}: expected finite numbers and standard deviations above 0"
-        )
-    return rows

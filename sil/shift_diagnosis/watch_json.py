@@ -10,10 +10,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from sil.files.quantity import counted
 from sil.fitting.hypotheses import scaled_of
 from sil.shift_diagnosis.model import Cause
+from sil.shift_diagnosis.store import Watched
 from sil.shift_diagnosis.track import Track
-from sil.shift_diagnosis.watch import Watched, tracked_causes
+from sil.shift_diagnosis.watch import tracked_causes
 
 
 def as_json(watched: Watched, limits: dict[str, float]) -> dict[str, Any]:
@@ -36,6 +38,7 @@ def as_json(watched: Watched, limits: dict[str, float]) -> dict[str, Any]:
         "shifts": track.shifts,
         "trips": track.scatter.trips,
         "left_out": watched.skipped,
+        "late_logs": watched.late_logs,
         "odd_shifts": [
             dict(zip(("shift", "time_s", "log", "chi2"), row, strict=True)) for row in watched.odd
         ],
@@ -101,7 +104,7 @@ def forecast(track: Track, name: str, cause: Cause | None, limit: float | None) 
     if (goal - now) * np.sign(slope) <= 0.0:
         return found | {"shifts_left": 0, "low": 0, "high": 0, "why": "the limit is passed"}
     if not np.isfinite(high) or high > 10.0 * seen:
-        why = f"not extrapolated: {seen} shifts of drift do not bound it"
+        why = f"not extrapolated: {counted(seen, 'shift')} of drift cannot bound it"
         return found | {"shifts_left": None, "low": None, "high": None, "why": why}
     ends = (int(middle), int(low), int(high))
     return found | dict(zip(("shifts_left", "low", "high"), ends, strict=True)) | {"why": ""}

@@ -6,27 +6,27 @@ Checked by: tests/unit/sil/shift_diagnosis/test_watch.py
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from can_dbc.errors import InputError, unknown_name
 from plant.effects import CATALOGUE
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
+from sil.files.quantity import counted, noun
 from sil.report.figure import Band, Figure, Panel, Rule, Series, Stack
 from sil.report.plots import plots
 from sil.report.shell import Head, render
 from sil.shift_diagnosis.cells import BLOCK
 from sil.shift_diagnosis.page import MEASURE
+from sil.shift_diagnosis.store import ABSOLUTE_S, Watched
 from sil.shift_diagnosis.track import CHANGED, FEWEST_SHIFTS, FEWEST_TRIPS, THRESHOLD
-from sil.shift_diagnosis.watch import Watched
 from sil.shift_diagnosis.watch_json import as_json
 
 MOST_DRAWN: Final = 12
 """Trucks with changes whose parameters are drawn."""
-ABSOLUTE_S: Final = 315_532_800.0
-"""Times after this, 1980, count from 1970."""
 BASIS: Final = (
     f"a change is reported from {THRESHOLD:g} standard deviations on; simulated with shifts, and trips, of "
     "normal scatter; not shown for trips that differ otherwise (docs, truck-diagnosis)"
@@ -34,42 +34,52 @@ BASIS: Final = (
 
 
 def write_watch(
-    trucks: Sequence[Watched], limits: dict[str, float], folder: Path, again: str
+    trucks: Iterable[Watched], limits: dict[str, float], folder: Path, again: str
 ) -> dict[str, Any]:
-    """Write watch.json and report.html; return what watch.json holds."""
+    """Write watch.json and report.html; return what watch.json holds.
+
+    Raises InputError for a limit of a parameter that no truck has.
+    """
+    found, figures, known = [], list[Stack](), set[str]()
+    for watched in trucks:  # one at a time: a fleet may not fit into memory
+        found.append(as_json(watched, limits))
+        known.update(watched.track.names)
+        if watched.track.changes and len(figures) < MOST_DRAWN:
+            figures.append(_figure(watched))
+    for name in limits:
+        if name not in known:
+            raise InputError(f"--limit {name}: {unknown_name(name, sorted(known))}")
     values: dict[str, Any] = {
         "format": 1,
         "false_alarm": {"per_shifts": 100_000, "at_most": 1, "basis": BASIS},
         "block_shifts": BLOCK,
-        "trucks": [as_json(truck, limits) for truck in trucks],
+        "trucks": found,
     }
-    for truck in values["trucks"]:
+    for truck in found:
         truck["lines"] = list(_lines(truck))
     text = json.dumps(finite(values), indent=1, ensure_ascii=False)
     write_atomically(folder / "watch.json", text + "\n")
-    found = [t for t in values["trucks"] if t["verdict"] in CHANGED]
-    unknown = sum(t["verdict"] == "cannot_tell" for t in values["trucks"])
-    few = f"no change found; {unknown} of {len(trucks)} trucks have too few shifts to tell"
-    changed = [w for w in trucks if w.track.changes][:MOST_DRAWN]
+    changed = sum(t["verdict"] in CHANGED for t in found)
+    unknown = sum(t["verdict"] == "cannot_tell" for t in found)
+    few = f"no change found; {unknown} of {len(found)} trucks have too few shifts to tell"
     head = Head(
         command="watch",
         name=folder.name,
-        verdict=f"{len(found)} of {len(trucks)} trucks have changed"
-        if found
+        verdict=f"{changed} of {len(found)} trucks have changed"
+        if changed
         else few
         if unknown
         else "steady",
-        good=not found and not unknown,
+        good=not changed and not unknown,
         tiles=[
-            (str(len(trucks)), "trucks"),
-            (str(sum(t["shifts"] for t in values["trucks"])), "shifts"),
-            (str(sum(len(t["changes"]) for t in values["trucks"])), "changes"),
+            (str(len(found)), noun(len(found), "truck")),
+            (str(sum(t["shifts"] for t in found)), "shifts"),
+            (str(sum(len(t["changes"]) for t in found)), "changes"),
             ("1e-5", "false alarms a shift, at most"),
         ],
         again=again,
     )
-    figure = Figure([_figure(watched) for watched in changed])
-    page = render("watch.html", head, plots(figure) if changed else [], values=values)
+    page = render("watch.html", head, plots(Figure(figures)) if figures else [], values=values)
     write_atomically(folder / "report.html", page)
     return values
 
@@ -105,9 +115,18 @@ def _lines(truck: dict[str, Any]) -> list[str]:
         if item["why"]:
             lines.append(f"{goal}: {item['why']}")
         else:
-            lines.append(f"{goal} in {item['shifts_left']} shifts [{item['low']}, {item['high']}]")
+            lines.append(
+                f"{goal} in {counted(item['shifts_left'], 'shift')} [{item['low']}, {item['high']}]"
+            )
     if truck["odd_shifts"]:
-        lines.append(f"{len(truck['odd_shifts'])} odd shifts among the latest, not tracked")
+        odd = counted(len(truck["odd_shifts"]), "odd shift")
+        lines.append(f"{odd} among the latest, not tracked")
+    if late := truck["late_logs"]:
+        begin = f"{late[0]} begins" if len(late) == 1 else f"{len(late)} logs, as {late[0]}, begin"
+        lines.append(
+            f"{begin} before the log taken before ends: shifts count in the order in which they "
+            "were taken; for one by time, take all logs anew into another --out"
+        )
     return lines
 
 

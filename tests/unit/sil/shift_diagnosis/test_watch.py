@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from can_dbc.errors import InputError
 from can_dbc.messages import DrivelineSpeeds
 from plant.parameters import load
 from sil.cli import main
@@ -19,6 +18,7 @@ from sil.shift_diagnosis import watch as watching
 from sil.shift_diagnosis.linear import Linear, linearise
 from sil.shift_diagnosis.loads import BARRIERS, CONE
 from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.store import STORE, Reference
 from tests.bench.truck_logs import by_reference, trips
 from tests.unit.sil.shift_diagnosis.test_shifts import without
 
@@ -74,7 +74,7 @@ def test_killed_and_resumed_nothing_is_lost(
     fleet(tmp_path / "fleet")
     target = str(tmp_path / "fleet")
     main(["watch", target, "--out", str(tmp_path / "whole")])
-    taken = watching._observations
+    taken = watching.observed
     calls = []
 
     def killed(path: Path, track: object) -> object:
@@ -84,10 +84,10 @@ def test_killed_and_resumed_nothing_is_lost(
             raise KeyboardInterrupt
         return found
 
-    monkeypatch.setattr(watching, "_observations", killed)
+    monkeypatch.setattr(watching, "observed", killed)
     with pytest.raises(BaseException):  # noqa: B017 - however the command ends
         assert main(["watch", target, "--out", str(tmp_path / "out")]) == 0
-    with closing(sqlite3.connect(tmp_path / "out" / watching.STORE)) as store:
+    with closing(sqlite3.connect(tmp_path / "out" / STORE)) as store:
         assert store.execute("select count(*) from log").fetchone() == (2,)
     main(["watch", target, "--out", str(tmp_path / "out")])
     assert len(calls) == 6  # two were not read again
@@ -103,7 +103,7 @@ def test_a_store_of_another_version_or_kind_is_refused_in_one_line(
     observations(tmp_path / "truck" / "a.csv", np.zeros((50, 2)), 3)
     command = ["watch", str(tmp_path / "truck"), "--out", str(tmp_path / "out")]
     assert main(command) == 0
-    store = tmp_path / "out" / watching.STORE
+    store = tmp_path / "out" / STORE
     with sqlite3.connect(store) as connection:
         connection.execute("pragma user_version = 1")
     connection.close()
@@ -174,20 +174,6 @@ def test_what_differs_from_trip_to_trip_is_no_change(delay_s: float, tmp_path: P
         assert "valve_open_delay" in (change["name"], *change["alike"])
 
 
-@pytest.mark.parametrize(
-    ("text", "wrong"),
-    [
-        ("time_s,a\n1,2\n", "line 1"),
-        ("time_s,a,a_sd\n1,2,x\n", "line 2"),
-        ("time_s,a,a_sd\n1,2,0\n", "above 0"),
-    ],
-)
-def test_bad_observations_are_refused(tmp_path: Path, text: str, wrong: str) -> None:
-    (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(InputError, match=wrong):
-        watching._observations(tmp_path / "a.csv", None)
-
-
 def test_a_folder_without_logs_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,7 +193,7 @@ def test_a_truck_without_speeds_on_its_bus_is_watched(
     with closing(sqlite3.connect(tmp_path / "out" / "watch.sqlite")) as store:
         (reference,) = store.execute("select reference from truck").fetchone()
         assert store.execute("select count(*) from odd").fetchone() == (0,)
-    reference = msgspec.msgpack.decode(reference, type=watching.Reference)
+    reference = msgspec.msgpack.decode(reference, type=Reference)
     assert reference.loads == CONE
     assert reference.chi2 < 1.5
 
@@ -216,7 +202,7 @@ def test_a_truck_that_no_longer_sends_its_speeds_is_watched(
     nominal_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     silent = without(DrivelineSpeeds, nominal_log, tmp_path / "silent.log")
-    reference = watching.Reference(True, [0.0] * 17, 2e-5, 1.0, 1.0, 24, BARRIERS)
+    reference = Reference(True, [0.0] * 17, 2e-5, 1.0, 1.0, 24, BARRIERS)
     asked: list[tuple[str, ...]] = []
 
     def watched(model: object, shifts: list[Shift], *rest: object, **options: object) -> Linear:
@@ -226,6 +212,6 @@ def test_a_truck_that_no_longer_sends_its_speeds_is_watched(
 
     monkeypatch.setattr(watching, "linearise", watched)
     with closing(watching.Watch(tmp_path / "store", load("nominal"))) as watch:
-        _track, after, _changes, count, _skipped = watch._shifts("a", str(silent), None, reference)
+        _track, after, _changes, taken = watch._shifts("a", silent, None, reference)
     assert asked == [BARRIERS + CONE]
-    assert (after, count) == (reference, 5)
+    assert (after, taken.shifts) == (reference, 5)
