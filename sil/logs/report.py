@@ -15,6 +15,7 @@ MOST_LOCATIONS: Final = 10
 """Locations of each kind that a report holds; all of them are counted."""
 
 
+_CUT: Final = "cut off at"
 _NOT_ASCII: Final = re.compile(r"(?:[\x80-\xff]|\\x[89a-f][0-9a-f])+")
 
 
@@ -126,7 +127,7 @@ class LogReport:
         """Mark the log as cut off. Raises InputError if `strict`."""
         if not self.truncated:
             self.truncated = True
-            self.note(f"cut off at {location}")
+            self.note(f"{_CUT} {location}")
         if self.strict:
             raise InputError(f"{self.path}: {location}; expected a log that is not cut off")
 
@@ -139,6 +140,19 @@ class LogReport:
     def clean(self) -> bool:
         """Return whether nothing is skipped, stepping backwards, there twice or cut off."""
         return not (self.skipped or self.backwards or self.duplicates or self.truncated)
+
+    @property
+    def faults(self) -> str:
+        """What is not whole, in one line; empty if it is `clean`."""
+        found = [note for note in self.notes if self.truncated and _CUT in note]
+        for title, count, first in (
+            ("broken and skipped", self.skipped, self.skipped_locations[:1]),
+            ("clock steps backwards", self.backwards, self.backwards_locations[:1]),
+            ("duplicates", self.duplicates, self.duplicate_locations[:1]),
+        ):
+            if count:
+                found.append(f"{title}: {count}, the first {first[0]}")
+        return "; ".join(found)
 
     def lockstep_line(self) -> str:
         """Return what was left out of the capture of a lockstep run; empty if it is none."""

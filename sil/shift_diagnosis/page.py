@@ -5,13 +5,16 @@ Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from can_dbc.errors import InputError
 from plant.parameters import Parameter, load_actuator
 from sil.diagnosis.causes import Cause as Reported
 from sil.diagnosis.causes import diagnosis_json
@@ -27,7 +30,7 @@ from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.shift_diagnosis.judge import judge_shifts
 from sil.shift_diagnosis.model import Cause
-from sil.shift_diagnosis.shifts import LEAD_S, shifts_of
+from sil.shift_diagnosis.shifts import LEAD_S, Shift, shifts_of
 from sil.shift_diagnosis.verdict import EXPLAINED, Judged, ShiftDiagnosis
 
 FALSE_ALARM_BASIS: Final = (
@@ -253,8 +256,18 @@ def diagnosed(
     """
     parameters = load_actuator(model)
     mapping = SignalMapping(*layout) if any(layout) else None
-    shifts = [s for path in logs for s in shifts_of(path, parameters, mapping, skipped)]
-    return judge_shifts(shifts, parameters, progress, workers)
+    shifts: list[Shift] = []
+    broken: list[str] = []
+    read = set[str]()
+    for path in logs:
+        if (real := os.path.realpath(path)) in read:
+            raise InputError(f"{path}: given twice; expected each log once")
+        read.add(real)
+        faults: list[str] = []
+        shifts += shifts_of(path, parameters, mapping, skipped, faults)
+        broken += [f"{path}: {fault}" for fault in faults]
+    found = judge_shifts(shifts, parameters, progress, workers)
+    return replace(found, findings=(*found.findings, *broken))
 
 
 def write_files(

@@ -32,13 +32,16 @@ from plant.devices.position_circuit import SensorConfig
 from plant.devices.sensors import InductiveSensor
 from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
 from plant.parameters import ParameterSet
+from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, is_intact
-from sil.logs import LogFrame, open_log
+from sil.logs import LogFrame, LogReader, open_log
 
 Floats = NDArray[np.float64]
 
 COMMANDS: Final = (ValveCommand, SafetyBlow)
+NEEDED: Final = {can_id_of(kind): kind for kind in (ValveCommand, PositionPulse)}
+"""The messages without which there is no shift, by identifier."""
 LEAD_S: Final = 0.05
 """Simulated time of a shift before its first command."""
 VENTED_S: Final = 0.27
@@ -286,17 +289,22 @@ class ShiftCutter:
 
 
 def shifts_of(
-    path: str, parameters: ParameterSet, mapping: SignalMapping | None, skipped: Counter[str]
+    path: str,
+    parameters: ParameterSet,
+    mapping: SignalMapping | None,
+    skipped: Counter[str],
+    faults: list[str] | None = None,
 ) -> Iterator[Shift]:
     """Yield the shifts of one log, in bounded memory; `skipped` counts the others by their reason.
 
-    mapping: what another layout's signals stand for.  Raises InputError for a file that is no log,
-    and for one without what a shift needs.
+    mapping: what another layout's signals stand for. faults: takes in one line what is not whole in the log.
+    Raises InputError for a file that is no log, for one without what a shift needs, and for one of
+    several buses that have it.
     """
     cutter = ShiftCutter(path, parameters)
-    log: Iterable[LogFrame] = open_log(path)
+    log = open_log(path)
     arrivals = (
-        iter(RecordedFrames(log, ids=OWN_IDS, path=path))
+        iter(RecordedFrames(_of_one_bus(log), ids=OWN_IDS, path=path))
         if mapping is None
         else Translator(mapping).arrivals(log)
     )
@@ -306,12 +314,31 @@ def shifts_of(
     if (shift := cutter.finish()) is not None:
         yield shift
     skipped.update(cutter.skipped)
-    for kind in (ValveCommand, PositionPulse):
+    if faults is not None and log.report.faults:
+        faults.append(log.report.faults)
+    if not log.report.frames:
+        raise InputError(f"{path}: no CAN frame; expected at least one")
+    for kind in NEEDED.values():
         if not cutter.frames[kind]:
             hint = "the signals that FILE of --map names" if mapping else "those, or --map FILE"
             raise InputError(
-                f"{path}: no {kind.__name__} ({can_id_of(kind):X}) in it; expected {hint}"
+                f"{path}: no {kind.__name__} ({can_id_of(kind):X}) among "
+                f"{counted(log.report.frames, 'frame')}; expected {hint}"
             )
+
+
+def _of_one_bus(log: LogReader) -> Iterator[LogFrame]:
+    """Yield the frames of a log. Raises InputError where a second channel has commands or pulses."""
+    channels: dict[int, str] = {}
+    for entry in log:
+        if entry.extended and entry.can_id in NEEDED:
+            first = channels.setdefault(entry.can_id, entry.channel)
+            if entry.channel != first:
+                raise InputError(
+                    f"{log.path}: {NEEDED[entry.can_id].__name__} on channels {first} and "
+                    f"{entry.channel}; expected one bus: opc4 convert --channel {first} takes it out"
+                )
+        yield entry
 
 
 _MOST_IDENTIFIERS: Final = 20_000

@@ -12,7 +12,7 @@ import sqlite3
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -31,7 +31,7 @@ _TABLES: Final = f"""
 begin;
 create table model (digest text);
 create table log (path text primary key, digest text unique, truck text, size integer, begin_s real,
-  end_s real, first integer, shifts integer, skipped integer);
+  end_s real, first integer, shifts integer, skipped integer, fault text);
 create table truck (name text primary key, reference blob, track blob, crc integer);
 create table odd (truck text, number integer, time_s real, path text, chi2 real);
 pragma user_version = {STORE_VERSION};
@@ -69,7 +69,7 @@ class Watched:
     """One truck as the store has it.
 
     change_logs: the log that begins with or holds each change; late_logs: those that begin before the
-    end of the one that was taken before them.
+    end of the one that was taken before them; faults: the latest logs that are not whole, and why.
     """
 
     name: str
@@ -78,24 +78,26 @@ class Watched:
     change_logs: list[str]
     late_logs: list[str]
     skipped: int
+    faults: list[tuple[str, str]]
     odd: list[tuple[int, float, str, float]]
 
 
 @dataclass(frozen=True)
 class Taken:
-    """What a log was: how many shifts, from when to when, and how many were left out."""
+    """What a log was: how many shifts, from when to when, how many were left out, what is not whole."""
 
     shifts: int = 0
     begin_s: float | None = None
     end_s: float | None = None
     skipped: int = 0
+    fault: str = ""
 
     def after(self, times_s: Sequence[float]) -> Taken:
         """Return what it is with further shifts, at these times."""
         if not times_s:
             return self
         begin_s = times_s[0] if self.begin_s is None else self.begin_s
-        return Taken(self.shifts + len(times_s), begin_s, times_s[-1], self.skipped)
+        return replace(self, shifts=self.shifts + len(times_s), begin_s=begin_s, end_s=times_s[-1])
 
 
 class Store:
@@ -218,10 +220,11 @@ class Store:
     def add_log(self, truck: str, path: Path, first: int, taken: Taken) -> None:
         """Store that a log was taken; first: the number of its first shift."""
         values = os.path.realpath(path), _digest_of_file(path), truck, path.stat().st_size
+        own = taken.shifts, taken.skipped, taken.fault
         with self._errors():
             self._connection.execute(
-                "insert into log values (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (*values, taken.begin_s, taken.end_s, first, taken.shifts, taken.skipped),
+                "insert into log values (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (*values, taken.begin_s, taken.end_s, first, *own),
             )
 
     def add_odd(self, truck: str, number: int, time_s: float, path: Path, chi2: float) -> None:
@@ -270,6 +273,10 @@ class Store:
         logs, skipped = run(
             "select count(*), sum(skipped) from log where truck = ?", (name,)
         ).fetchone()
+        faults = run(
+            "select path, fault from log where truck = ? and fault <> '' order by rowid desc limit 20",
+            (name,),
+        ).fetchall()
         odd = run(
             "select number, time_s, path, chi2 from odd where truck = ? order by number desc limit 20",
             (name,),
@@ -281,6 +288,7 @@ class Store:
             [self._log_at(name, change.shift) for change in track.changes],
             [_shown(path) for (path,) in run(_LATE, (name, ABSOLUTE_S))],
             skipped,
+            [(_shown(path), fault) for path, fault in faults],
             [(number, time_s, _shown(path), chi2) for number, time_s, path, chi2 in odd],
         )
 

@@ -115,7 +115,8 @@ class Watch:
         track = track or Track.of(tuple(cause.effect.id for cause in self._causes))
         require_names(path, track, [cause.effect.id for cause in self._causes])
         skipped = Counter[str]()
-        shifts = shifts_of(str(path), self._parameters, self._mapping, skipped)
+        faults: list[str] = []
+        shifts = shifts_of(str(path), self._parameters, self._mapping, skipped, faults)
         changes: list[Change] = []
         taken, confirm = Taken(), None
         while some := list(islice(shifts, AT_ONCE)):
@@ -152,7 +153,8 @@ class Watch:
             )  # fmt: skip
             changes += track.take(information, score, times[usual], confirm)
         changes += track.end_cell(confirm)
-        return track, reference, changes, replace(taken, skipped=sum(skipped.values()))
+        left_out, fault = sum(skipped.values()), "".join(faults)
+        return track, reference, changes, replace(taken, skipped=left_out, fault=fault)
 
     def _present(
         self,

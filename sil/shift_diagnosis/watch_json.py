@@ -39,6 +39,7 @@ def as_json(watched: Watched, limits: dict[str, float]) -> dict[str, Any]:
         "trips": track.scatter.trips,
         "left_out": watched.skipped,
         "late_logs": watched.late_logs,
+        "faulty_logs": [{"log": path, "fault": fault} for path, fault in watched.faults],
         "odd_shifts": [
             dict(zip(("shift", "time_s", "log", "chi2"), row, strict=True)) for row in watched.odd
         ],

@@ -27,6 +27,8 @@ from sil.shift_diagnosis.watch_json import as_json
 
 MOST_DRAWN: Final = 12
 """Trucks with changes whose parameters are drawn."""
+MOST_FAULTS: Final = 3
+"""Logs of a truck of which is said what is not whole; watch.json has more."""
 BASIS: Final = (
     f"a change is reported from {THRESHOLD:g} standard deviations on; simulated with shifts, and trips, of "
     "normal scatter; not shown for trips that differ otherwise (docs, truck-diagnosis)"
@@ -121,6 +123,7 @@ def _lines(truck: dict[str, Any]) -> list[str]:
     if truck["odd_shifts"]:
         odd = counted(len(truck["odd_shifts"]), "odd shift")
         lines.append(f"{odd} among the latest, not tracked")
+    lines += [f"{item['log']}: {item['fault']}" for item in truck["faulty_logs"][:MOST_FAULTS]]
     if late := truck["late_logs"]:
         begin = f"{late[0]} begins" if len(late) == 1 else f"{len(late)} logs, as {late[0]}, begin"
         lines.append(

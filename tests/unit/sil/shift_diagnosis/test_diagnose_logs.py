@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from sil.cli import main
+from sil.files.progress import Progress
+from sil.shift_diagnosis import page
 from sil.shift_diagnosis.linear import NOISE
 from sil.shift_diagnosis.model import catalogue
 from sil.shift_diagnosis.verdict import Judged, ShiftDiagnosis
@@ -64,12 +67,44 @@ def test_of_many_causes_that_are_alike_the_likeliest_are_reported() -> None:
     assert {item.id for item in found.named} == set(alike)
 
 
+@pytest.mark.parametrize("command", ["diagnose", "watch"])
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("(1.0) can0 18FEF100#0102030405060708\n", "no ValveCommand (8FF1003) among 1 frame;"),
+        ("", "no CAN frame; expected at least one"),
+    ],
+)
 def test_a_log_without_commands_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, text: str, wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "other.log"
-    path.write_text("(1.0) can0 18FEF100#0102030405060708\n")
-    assert main(["diagnose", str(path), "--out", str(tmp_path / "out")]) == 2
+    path.write_text(text)
+    assert main([command, str(path), "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
-    assert "no ValveCommand" in error and error.count("\n") == 1
+    assert wrong in error and error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_a_log_that_is_not_whole_is_a_finding(
+    nominal_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = tmp_path / "broken.log"
+    broken.write_text(nominal_log.read_text().replace("can0", "\x07", 1))
+    none = ShiftDiagnosis("consistent", (), (), {}, (), True, NOISE, ("of its own",), {})
+    monkeypatch.setattr(page, "judge_shifts", lambda *_: none)
+    logs = [str(nominal_log), str(broken)]
+    found = page.diagnosed(logs, "nominal", (None, None), Counter(), Progress("x"))
+    own, line = found.findings
+    assert own == "of its own"
+    assert line.startswith(f"{broken}: broken and skipped: 1, the first line 1: ")
+
+
+def test_a_log_that_is_given_twice_is_refused(
+    nominal_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link = tmp_path / "link.log"
+    link.symlink_to(nominal_log)
+    out = tmp_path / "out"
+    assert main(["diagnose", str(nominal_log), str(link), "--out", str(out)]) == 2
+    assert f"{link}: given twice; expected each log once" in capsys.readouterr().err

@@ -138,3 +138,20 @@ def test_a_log_without_speeds_has_shifts_of_unknown_difference(
     own = cut(without(DrivelineSpeeds, nominal_log, tmp_path / "own.log"))
     assert np.isnan([s.difference_rad_s for s in own if s.end in "BF"]).all()
     assert len(own) == len(cut(nominal_log))
+
+
+def test_two_buses_in_one_log_are_refused(nominal_log: Path, tmp_path: Path) -> None:
+    mixed = tmp_path / "mixed.log"
+    with open_writer(str(mixed)) as writer:
+        for number, frame in enumerate(open_log(str(nominal_log))):
+            writer.write(frame._replace(channel=f"can{number % 2}"))
+    with pytest.raises(InputError, match="on channels can. and can.; expected one bus"):
+        cut(mixed)
+
+
+def test_what_is_not_whole_in_a_log_is_said(nominal_log: Path, tmp_path: Path) -> None:
+    cut_off, faults = tmp_path / "cut.log", list[str]()
+    cut_off.write_bytes(nominal_log.read_bytes()[:-20])
+    assert list(shifts_of(str(cut_off), load("nominal"), None, Counter(), faults))
+    (fault,) = faults
+    assert fault.startswith("cut off at line ")

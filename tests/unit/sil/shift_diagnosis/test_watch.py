@@ -215,3 +215,18 @@ def test_a_truck_that_no_longer_sends_its_speeds_is_watched(
         _track, after, _changes, taken = watch._shifts("a", silent, None, reference)
     assert asked == [BARRIERS + CONE]
     assert (after, taken.shifts) == (reference, 5)
+
+
+def test_logs_that_are_not_whole_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "truck" / "1.log"
+    log.parent.mkdir()
+    by_reference(log, 12, 4, None)
+    log.write_bytes(log.read_bytes()[:-20])
+    assert main(["watch", str(log), "--out", str(tmp_path / "out")]) == 0
+    fault = f"{log}: cut off at line "
+    assert f"  {fault}" in capsys.readouterr().out
+    (truck,) = json.loads((tmp_path / "out" / "watch.json").read_text())["trucks"]
+    ((name, text),) = [row.values() for row in truck["faulty_logs"]]
+    assert f"{name}: {text}".startswith(fault)
