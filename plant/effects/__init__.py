@@ -44,7 +44,7 @@ def effect(name: str) -> Effect:
     except KeyError:
         near = nearest(name, CATALOGUE, cutoff=0.3) or list(CATALOGUE)
         raise InputError(
-            f"effect {name!r}: no such effect; nearest: {', '.join(near)}; "
+            f"effect {name!r}: no such effect; expected one of {', '.join(near)}, ...; "
             "a file of your own effects is given with --effects"
         ) from None
 

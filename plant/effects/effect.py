@@ -5,11 +5,11 @@ Kernel, fit, diagnosis and extended model read it from here, so each effect is s
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from can_dbc.errors import unknown_name
 from plant.effects.force_term import ForceTerm
 from plant.effects.setup import Setup
 from plant.errors import InputError
@@ -123,8 +123,7 @@ class Effect:
         known = {item.name: item for item in self.parameters}
         for name, given in table.items():
             if name not in known:
-                near = difflib.get_close_matches(name, known, n=3, cutoff=0.3) or list(known)
-                raise InputError(f"{where} {name}: no such parameter; nearest: {', '.join(near)}")
+                raise InputError(f"{where} {name}: {unknown_name(name, known)}")
             item = known[name]
             if given.unit != item.unit:
                 raise InputError(f"{where} {name}: unit {given.unit!r}; expected {item.unit!r}")

@@ -199,8 +199,8 @@ def statement_errors(item: Effect, known: set[str]) -> Iterator[str]:
         return
     for other in item.look_alikes:
         if other not in known:
-            near = ", ".join(nearest(other, known, cutoff=0.3))
-            yield f"look_alikes: {other!r} is no effect; expected ids; nearest: {near}"
+            near = ", ".join(nearest(other, known, cutoff=0.3) or sorted(known)[:3])
+            yield f"look_alikes: {other!r} is no effect; expected one of {near}, ..."
 
 
 def variant_errors(item: Effect, fitted: int) -> Iterator[str]:

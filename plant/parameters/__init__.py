@@ -105,8 +105,9 @@ def unknown_path(path: str, known: Mapping[str, Any], name: str) -> str:
     if not near:
         tail = path.rsplit(".", 1)[-1]
         near = [k for k in known if k.rsplit(".", 1)[-1].lower() == tail.lower()][:3]
-    hint = ", ".join(near) if near else ", ".join(sorted({k.split(".")[0] for k in known}))
-    return f"{name}: {path}: no such parameter; nearest: {hint}"
+    sections = ", ".join(f"{section}.*" for section in sorted({k.split(".")[0] for k in known}))
+    hint = f"one of {', '.join(near)}, ..." if near else f"one of {sections}"
+    return f"{name}: {path}: no such parameter; expected {hint}"
 
 
 def number(raw: object, where: str) -> Number:

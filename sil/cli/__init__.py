@@ -226,8 +226,8 @@ def _main(arguments: list[str]) -> int:
     if name not in COMMANDS:
         from can_dbc.errors import nearest
 
-        near = nearest(name, COMMANDS) or list(COMMANDS)
-        refused = f"no command {_shortened(repr(name))}; nearest: {', '.join(near)}"
+        listed = ", ".join([*near, "..."] if (near := nearest(name, COMMANDS)) else COMMANDS)
+        refused = f"no command {_shortened(repr(name))}; expected one of {listed}"
         return _refuse("opc4", refused, arguments)
     try:
         command: Any = importlib.import_module(f"sil.cli.{name}")

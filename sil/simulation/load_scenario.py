@@ -237,7 +237,7 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
         known = [*overrides.leaf_paths(Scenario, raw), *parameters]
         near = nearest(path, known, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
         raise InputError(
-            f"--set {typed_toml.one_line(path)}: no such value; nearest: {', '.join(near)}"
+            f"--set {typed_toml.one_line(path)}: no such value; expected one of {', '.join(near)}, ..."
         )
 
 

@@ -142,7 +142,7 @@ def test_a_missing_message_is_named_in_one_line(pgn: int, tmp_path: Path, capsys
         ),
         (["--map", str(SHIPPED), "--plant"], "--map: a truck's log has no commands for --plant"),
         (["--plant"], "no ValveCommand in it"),
-        (["--set", "controller.stratgy=open_loop"], "nearest: controller.strategy"),
+        (["--set", "controller.stratgy=open_loop"], "expected one of controller.strategy"),
         (["--strategy", "sliding"], "sliding_mode"),
         (["--firmware", "none.py"], "none.py"),
     ],

@@ -85,5 +85,5 @@ def test_terms_of_levels_depend_on_what_has_a_level() -> None:
 
 
 def test_an_unknown_effect_is_named_with_the_nearest() -> None:
-    with pytest.raises(InputError, match=r"nearest: .*exhaust_clog"):
+    with pytest.raises(InputError, match=r"expected one of .*exhaust_clog"):
         effect("exhaust_clogged")

@@ -87,7 +87,7 @@ WRONG = {
     "bounds": (SIZE, SIZE.replace("low=0.0", "low=1.0"), r"force_n: neutral 0; expected it from low 1"),
     "bound": ("high=2000.0", "high='x'", r"force_n: high 'x'; expected a finite number"),
     "sign": ("sign=1", "sign=3", r"force_n: sign 3; expected -1, 0 or 1"),
-    "look-alike": ("static_friction", "static_fricton", r"'static_fricton' is no effect; .* nearest: static_f"),
+    "look-alike": ("static_friction", "static_fricton", r"'static_fricton' is no effect; expected one of static_f"),
     "look-alike without a comma": ('("friction_bump", "static_friction")', '("friction_bump")', r"look_alikes: 'friction_bump'; expected a tuple of ids"),
     "needs": ("    look", '    needs=("oil",),\n    look', r"needs: 'oil'; expected damper, internal"),
     "scope": ("    look", '    scope="me",\n    look', r"scope 'me'; expected unit, run, stroke"),

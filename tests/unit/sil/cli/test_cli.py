@@ -54,7 +54,7 @@ def test_every_command_has_help_with_an_example(
 def test_no_command_and_unknown_command_are_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([]) == 2
     assert cli.main(["rnu"]) == 2
-    assert "nearest: run" in capsys.readouterr().err
+    assert "expected one of run" in capsys.readouterr().err
 
 
 def test_bad_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

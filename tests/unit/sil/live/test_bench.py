@@ -109,7 +109,7 @@ def refused() -> Iterator[tuple[dict[str, Any], str]]:
     yield {"scenario": NAME, "settings": {"model_set": "/x.toml"}}, "model_set: cannot be set"
     yield {"scenario": NAME, "settings": {"effects": "x.py"}}, "effects: cannot be set"
     yield {"scenario": NAME, "settings": {"bus.guest": True}}, "bus.guest: cannot be set"
-    yield {"scenario": NAME, "settings": {"sensr.delay_s": 1}}, "nearest: sensor.delay_s"
+    yield {"scenario": NAME, "settings": {"sensr.delay_s": 1}}, "expected one of sensor.delay_s"
     yield {"scenario": NAME, "settings": {"sensor.delay_s": -1.0}}, "sensor.delay_s"
     yield {"scenario": NAME, "duration_s": 3600.0}, "expected at most 20 s"
     yield {"scenario": NAME, "settings": {"trace_period_s": 1e-5}, "duration_s": 19.0}, "steps"

@@ -67,7 +67,7 @@ def test_another_runs_result_gives_its_firmware(tmp_path: Path) -> None:
     ("settings", "complaint"),
     [
         (["valve.D_fall=0.01"], "valve.D_fall: not of the firmware"),
-        (["controller.filtre=false"], "nearest: controller.filter"),
+        (["controller.filtre=false"], "expected one of controller.filter"),
         (["controller.period_s=1.0"], "controller.period_s"),
         (["controller.period_s"], "no value"),
     ],

@@ -145,7 +145,7 @@ def test_two_buses_in_one_log_are_refused(nominal_log: Path, tmp_path: Path) -> 
     with open_writer(str(mixed)) as writer:
         for number, frame in enumerate(open_log(str(nominal_log))):
             writer.write(frame._replace(channel=f"can{number % 2}"))
-    with pytest.raises(InputError, match="on channels can. and can.; expected one bus"):
+    with pytest.raises(InputError, match=r"on channels can. and can.; expected one bus"):
         cut(mixed)
 
 
