@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -29,6 +31,8 @@ from sil.simulation.metrics import Shift
 
 SETTLED_S = 0.025
 """What is shown after everything has settled."""
+CHARACTER: Final = 0.0065
+"""Width of a character in the picture, by that of all zooms side by side."""
 
 SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
 SENDERS = {"driver": "B", "controller": "estimate", "plant": "truth"}
@@ -53,7 +57,7 @@ def run_figure(
         *vehicle_panels(record),
         _position(record, zooms, shifts),
         Panel("Speed of the stay", "m/s", [speed], height=130, page_only=True),
-        _valves(record),
+        _valves(record, zooms),
         *_currents(record),
         _pressures(record, zooms),
         _states(record),
@@ -117,14 +121,23 @@ def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift])
             shown = np.where(near, values, np.nan)
             label = "" if pistons else "moving piston, where it touches the stay"
             pistons.append(Series(label, time[inside], shown, "faint", dashed=True, width=1.0))
-            notes += _note_on_line(time[inside], shown, name)
+            notes += _note_on_line(time[inside], shown, name, reach)
         for at, lag, level in _lags(record, shift):
             spans.append(Span(at, at + lag, "alarm", "", level - 0.04, level + 0.04))
             text = f"{lag:.0f} ms late"
-            notes.append(Note(at + 0.5 * lag, level, text, "alarm", up=-4.0, bold=True))
-        notes += _impact_notes(record, shift)
+            note = Note(at + 0.5 * lag, level, text, "alarm", up=-4.0, bold=True)
+            if lag < _width(text, at, zooms):  # on its left the curve leaves room
+                note = replace(note, x=at - _width(" ", at, zooms), align="right", up=0.0)
+            notes.append(note)
+        notes += _impact_notes(record, shift, _width(" ", zoom.low, zooms))
     series = [*pistons, *lines]
     return Panel("Position", "mm", series, spans=spans, rules=rules, notes=notes, height=230)
+
+
+def _width(text: str, at: float, zooms: Sequence[Zoom]) -> float:
+    """Return about how long a text is in the picture, in ms, at an instant."""
+    zoom = next((z for z in zooms if z.low <= at <= z.high), zooms[0])
+    return CHARACTER * len(text) * len(zooms) * (zoom.high - zoom.low)
 
 
 def _piston(record: RunRecord, shift: Shift) -> tuple[str, Floats] | None:
@@ -143,12 +156,18 @@ def _piston(record: RunRecord, shift: Shift) -> tuple[str, Floats] | None:
     return None
 
 
-def _note_on_line(time: Floats, values: Floats, text: str) -> list[Note]:
-    """Return a text at the first point of a line where it moves."""
+def _note_on_line(time: Floats, values: Floats, text: str, other: Floats) -> list[Note]:
+    """Return a text at the first point of a line where it moves, away from the begin of another line."""
     if len(values) < 2:
         return []
     moving = np.flatnonzero(np.abs(np.gradient(values)) > 1e-3)
-    return [Note(float(time[i]), float(values[i]), text, "faint", "right") for i in moving[:1]]
+    return [
+        Note(
+            float(time[i]), float(values[i]), text, "faint", "right",
+            up=math.copysign(7.0, values[i] - other[0]),
+        )
+        for i in moving[:1]
+    ]  # fmt: skip
 
 
 def _synchronizer_notes(record: RunRecord) -> Iterator[Note]:
@@ -181,8 +200,11 @@ def _lags(record: RunRecord, shift: Shift) -> Iterator[tuple[float, float, float
             yield float(time[int(np.argmax(beyond))]) * MS, lag * MS, level * MM
 
 
-def _impact_notes(record: RunRecord, shift: Shift) -> list[Note]:
-    """Return the stop of the stay, and the hardest of the other impacts unless it is far softer."""
+def _impact_notes(record: RunRecord, shift: Shift, gap: float) -> list[Note]:
+    """Return the stop of the stay, and the hardest of the other impacts unless it is far softer.
+
+    gap: between the curve and a text on its left, in ms.
+    """
     others = [impact for impact in shift.impacts if impact.name != "stay_stop"]
     worst = max(others, key=lambda impact: impact.energy_j, default=None)
     notes = []
@@ -197,13 +219,20 @@ def _impact_notes(record: RunRecord, shift: Shift) -> list[Note]:
     if worst is not None and abs(worst.position_m - start) < abs(worst.position_m - goal):
         # at the start the other side has the name of the piston
         notes = [replace(note, align="right", up=beyond) for note in notes]
+    elif worst is not None and worst.time_s < shift.arrived_s:  # on its left the curve leaves room
+        notes = [replace(note, x=note.x - gap, align="right", up=0.0) for note in notes]
+    else:
+        notes = [replace(note, x=note.x + gap, align="left") for note in notes]
     text = f"stop: {shift.impact_speed_m_s:.2f} m/s, {shift.impact_energy_j:.1f} J"
     return [*notes, Note(shift.arrived_s * MS, goal * MM, text, up=beyond)]
 
 
 # --- valves -------------------------------------------------------------------------------------
-def _valves(record: RunRecord) -> Panel:
-    """Each coil as commanded above what its valve did, with the delays between them."""
+def _valves(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
+    """Each coil as commanded above what its valve did, with the delays between them.
+
+    Delays are stated in the bar of an open valve, beside a short one, or not where there is no room.
+    """
     spans, notes, ticks, rules = [], [], [], []
     for lane, chamber in enumerate(reversed(CHAMBERS)):
         coil, blowing, is_open = (
@@ -218,13 +247,19 @@ def _valves(record: RunRecord) -> Panel:
             spans += [Span(a, b, chamber, text, *between, style) for a, b in found]  # type: ignore[arg-type]
         ticks += [(lane + 0.26, f"{chamber} valve"), (lane + 0.72, f"{chamber} command")]
         rules.append(Rule(float(lane), "", "grid", "y", "solid"))
-        for opened, closed in is_open:
+        edges = [-math.inf, *(edge for pair in is_open for edge in pair), math.inf]
+        for k, (opened, closed) in enumerate(is_open):
+            needed = _width("88 ms 88 ms", opened, zooms)
+            inside = closed - opened >= needed
+            room = inside or min(opened - edges[2 * k], edges[2 * k + 3] - closed) >= needed
             before = [a for a, b in coil if a <= opened <= b]
             after = [b for _, b in coil if opened < b <= closed]
-            for causes, reacted, align in ((before, opened, "left"), (after, closed, "right")):
+            sides = ("left", "right") if inside else ("right", "left")
+            for causes, reacted, side in zip((before, after), (opened, closed), sides, strict=True):
                 if causes:
                     text = f"{reacted - causes[-1]:.0f} ms"
-                    notes.append(Note(reacted, lane + 0.26, text, "ink", align))  # type: ignore[arg-type]
+                    if room:
+                        notes.append(Note(reacted, lane + 0.26, text, "ink", side))  # type: ignore[arg-type]
                     first, last = sorted((causes[-1], reacted))
                     spans.append(Span(first, last, "ink", "", lane + 0.485, lane + 0.495))
     return Panel("Valves: command and reaction", "", spans=spans, notes=notes, ticks=ticks, rules=rules,

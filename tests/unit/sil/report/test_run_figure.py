@@ -52,14 +52,15 @@ def test_figure_of_a_shift() -> None:
 
 
 @pytest.mark.parametrize(
-    ("position_m", "look"), [(0.001, ("right", 7.0)), (0.012, ("center", -9.0))]
+    ("time_s", "position_m", "look"),
+    [(0.13, 0.001, ("right", 7.0)), (0.13, 0.012, ("right", 0.0)), (0.2, 0.012, ("left", -9.0))],
 )
 def test_the_hardest_impact_is_named_where_no_other_name_is(
-    position_m: float, look: tuple[str, float]
+    time_s: float, position_m: float, look: tuple[str, float]
 ) -> None:
     record = made_run.made()
     (shift,) = metrics.shifts(record, Gear.NEUTRAL)
-    own = {"time_s": 0.13, "name": "collar_1_contact", "position_m": position_m}
+    own = {"time_s": time_s, "name": "collar_1_contact", "position_m": position_m}
     impact = metrics.Impact(**own, energy_j=0.3, peak_force_n=1000.0)
     shift = replace(shift, impacts=[impact, *shift.impacts])
     panels = run_figure(record, [shift]).stacks[0].panels
@@ -67,6 +68,30 @@ def test_the_hardest_impact_is_named_where_no_other_name_is(
     found = notes["collar 1 contact: 0.30 J"]
     assert (found.align, found.up) == look
     assert notes["stop: 0.64 m/s, 0.2 J"].up == 7.0
+
+
+@pytest.mark.parametrize(
+    ("open_s", "gap_s", "looks"),
+    [
+        (0.05, 0.05, [("8 ms", "left"), ("5 ms", "right")] * 2),  # in the bar
+        (0.008, 0.05, [("8 ms", "right"), ("5 ms", "left")] * 2),  # beside it
+        (0.008, 0.008, []),  # no room
+    ],
+)
+def test_the_delays_of_a_valve_do_not_cover_each_other(
+    open_s: float, gap_s: float, looks: list[tuple[str, str]]
+) -> None:
+    record, events = made_run.made(), []
+    for opened in (0.110, 0.110 + open_s + gap_s):
+        closed = opened + open_s
+        events += [
+            PlantEvent(opened - 0.008, "coil_B_on"), PlantEvent(opened, "valve_B_open"),
+            PlantEvent(closed - 0.005, "coil_B_off"), PlantEvent(closed, "valve_B_close"),
+        ]  # fmt: skip
+    record.__dict__["events"] = sorted(events, key=lambda e: e.time_s)
+    panels = run_figure(record, []).stacks[0].panels
+    (panel,) = [panel for panel in panels if panel.title.startswith("Valves")]
+    assert [(note.text, note.align) for note in panel.notes] == looks
 
 
 def test_the_picture_shows_the_lag_of_the_metrics() -> None:
