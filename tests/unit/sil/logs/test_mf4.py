@@ -408,3 +408,34 @@ def test_a_broken_block_of_a_list_leaves_the_others(
     assert len(frames) // 3 < len(found) < len(frames)
     assert set(found) <= set(frames)
     assert not report.clean
+
+
+@pytest.mark.parametrize("last", ["records", "values"])
+def test_no_cut_of_a_small_finished_file_is_read_without_a_word(last: str, tmp_path: Path) -> None:
+    """Its only block of records, or of the values that they point to, is at the end."""
+    frames = [(k * 1000, 0x100 + k, bytes([k] * 8)) for k in range(4)]
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, struct.pack("<QhhBBBB", START_NS, 0, 0, 0, 0, 0, 0) + bytes(16))
+    records = b"".join(data_record(*frame, 12 * k) for k, frame in enumerate(frames))
+    values = b"".join(struct.pack("<I", 8) + data for _, _, data in frames)
+    unknown = 0x0123456789ABCDEF
+    group = build.group(0, build.channels(DATA_FRAME, unknown), 22, cycles=len(frames))
+    data_group = build.data_group(group, 0, 0)
+    build.link(64, 0, data_group)
+    for kind, content in sorted({"records": records, "values": values}.items(), reverse=last == "records"):  # fmt: skip
+        block = build.block(b"DT" if kind == "records" else b"SD", [], content)
+        if kind == "records":
+            build.link(data_group, 2, block)
+        else:
+            at = bytes(build.blob).index(struct.pack("<Q", unknown))
+            struct.pack_into("<Q", build.blob, at, block)
+    whole = bytes(build.blob)
+    assert read(whole, tmp_path)[0] == expected(frames)
+    for size in range(len(whole) - 70, len(whole)):
+        try:
+            found, report = read(whole[:size], tmp_path)
+        except InputError as error:
+            assert "expected" in str(error)
+            continue
+        assert found == expected(frames)[: len(found)] and len(found) < len(frames)
+        assert report.faults.startswith("cut off at byte ")
