@@ -19,14 +19,17 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from sil.logs import FORMATS, open_log
+from sil.logs.csv_log import OUR_HEADER
 from sil.shift_diagnosis.change import Change
 from sil.shift_diagnosis.store import ABSOLUTE_S, Taken
 from sil.shift_diagnosis.track import Track
 
 Floats = NDArray[np.float64]
 
-OBSERVATIONS: Final = "time_s,"
+OBSERVATIONS: Final = (b"time_s,", b"time_s;")
 """How a file of per-shift observations begins: time_s, then NAME and NAME_sd of every parameter."""
+LATEST_S: Final = 1e11
+LARGEST: Final = 1e30
 AT_ONCE: Final = 5000
 """Observations that are taken in one call."""
 
@@ -102,10 +105,10 @@ def _begin_s(path: Path) -> float:
 
 
 def is_observations(path: Path) -> bool:
-    """Return whether a file begins as one of per-shift observations does."""
+    """Return whether a file begins as one of per-shift observations does, and not as a CAN log."""
     with path.open("rb") as file:
-        head = file.read(len(OBSERVATIONS) + len(codecs.BOM_UTF8))
-    return head.removeprefix(codecs.BOM_UTF8).startswith(OBSERVATIONS.encode())
+        head = file.read(200).removeprefix(codecs.BOM_UTF8)
+    return head.startswith(OBSERVATIONS) and not head.startswith(OUR_HEADER.encode())
 
 
 def observed(path: Path, track: Track | None) -> tuple[Track, list[Change], Taken]:
@@ -133,32 +136,42 @@ def _blocks_of(path: Path) -> Iterator[tuple[tuple[str, ...], Floats]]:
     Raises InputError for a line that is none of such a file, and a file without rows.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        head = [word.strip() for word in file.readline().split(",")]
+        line = file.readline()
+        delimiter = ";" if ";" in line else ","
+        head = [word.strip() for word in line.split(delimiter)]
         names, first = tuple(head[1::2]), 2
-        if not names or head[2::2] != [f"{name}_sd" for name in names]:
+        named = all(names) and len(set(names)) == len(names) > 0
+        if not named or head[2::2] != [f"{name}_sd" for name in names]:
             raise InputError(
-                f"{path}: line 1: {','.join(head)[:80]}; expected time_s, then NAME and NAME_sd"
+                f"{path}: line 1: {line.strip()[:80]}; expected time_s, then NAME and NAME_sd, each "
+                "name once"
             )
         while lines := list(islice(file, AT_ONCE)):
-            yield names, np.array([_row(path, *item, names) for item in enumerate(lines, first)])
+            rows = [
+                _row(f"{path}: line {k}", line, delimiter, names)
+                for k, line in enumerate(lines, first)
+            ]
+            yield names, np.array(rows)
             first += len(lines)
         if first == 2:
             raise InputError(f"{path}: no line after the first; expected one for each shift")
 
 
-def _row(path: Path, number: int, line: str, names: Sequence[str]) -> list[float]:
+def _row(where: str, line: str, delimiter: str, names: Sequence[str]) -> list[float]:
+    """Return the numbers of a line; with semicolons between them they may have decimal commas."""
     try:
-        row = [float(word) for word in line.split(",")]
+        words = line.split(delimiter)
+        row = [float(word.replace(",", ".") if delimiter == ";" else word) for word in words]
     except ValueError:
         row = []
+    shown = f"{where}: {line.strip()[:60]!r}"
     if len(row) != 1 + 2 * len(names):
+        raise InputError(f"{shown}; expected {1 + 2 * len(names)} numbers")
+    if not abs(row[0]) <= LATEST_S:
+        raise InputError(f"{shown}; expected a time in s, from 1970 or from the begin of the log")
+    if not all(abs(number) <= LARGEST for number in row) or min(row[2::2]) < 1.0 / LARGEST:
         raise InputError(
-            f"{path}: line {number}: {line.strip()[:60]!r}; expected {1 + 2 * len(names)} numbers"
-        )
-    if not all(map(math.isfinite, row)) or min(row[2::2]) <= 0.0:
-        raise InputError(
-            f"{path}: line {number}: {line.strip()[:60]!r}; expected finite numbers and standard "
-            "deviations above 0"
+            f"{shown}; expected numbers up to {LARGEST:g}, and standard deviations above 0"
         )
     return row
 

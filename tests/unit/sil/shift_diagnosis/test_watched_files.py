@@ -66,7 +66,11 @@ def test_logs_are_sorted_by_time_only_where_all_have_the_time_of_day(tmp_path: P
         ("time_s,a,a_sd\n", "no line after the first"),
         ("time_s,a,a_sd\n1,2,3\n1,2,x\n", "line 3: '1,2,x'; expected 3 numbers"),
         ("time_s,a,a_sd\n1,2,3\n\n", "line 3: ''; expected 3 numbers"),
-        ("time_s,a,a_sd\n1,2,3\n1,nan,3\n", "line 3: '1,nan,3'; expected finite numbers"),
+        ("time_s,a,a_sd\n1,2,3\n1,nan,3\n", "line 3: '1,nan,3'; expected numbers up to 1e"),
+        ("time_s,a,a_sd\n1,2,1e-40\n", "line 2: '1,2,1e-40'; .* above 0"),
+        ("time_s,a,a_sd\n1700000000000,2,3\n", "line 2: .*; expected a time in s"),
+        ("time_s,a,a_sd,a,a_sd\n1,2,3,2,3\n", "line 1: .* each name once"),
+        ("time_s,,_sd\n1,2,3\n", "line 1: .* each name once"),
         ("time_s,a,a_sd\n1,2,0\n", "line 2: '1,2,0'; .* above 0"),
         ("time_s,a,a_sd\n1,2,3,4\n", "line 2: '1,2,3,4'; expected 3 numbers"),
         ("time_s,a,a_sd\n1,2,\udcff\n", "line 2: .*expected 3 numbers"),
@@ -80,10 +84,25 @@ def test_bad_observations_are_refused(tmp_path: Path, text: str, wrong: str) -> 
         observed(path, None)
 
 
-def test_observations_as_a_spreadsheet_writes_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"\xef\xbb\xbftime_s,a,a_sd\r\n10,0.5,0.5\r\n20,0.7,0.5\r\n",
+        b"time_s; a ;a_sd\n10;0,5;0,5\n20;0,7;0.5\n",
+    ],
+)
+def test_observations_as_a_spreadsheet_writes_them(text: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    path.write_bytes(b"\xef\xbb\xbftime_s,a,a_sd\r\n10,0.5,0.5\r\n20,0.7,0.5\r\n")
+    path.write_bytes(text)
     assert is_observations(path)
     track, changes, taken = observed(path, None)
     assert (track.names, changes) == (("a",), [])
     assert (taken.shifts, taken.begin_s, taken.end_s) == (2, 10.0, 20.0)
+
+
+def test_a_can_log_as_csv_is_no_file_of_observations(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    with open_writer(path) as writer:
+        writer.write(LogFrame(10**9, 0x123, b"\x01"))
+    assert path.read_text().startswith("time_s,")
+    assert not is_observations(path)
