@@ -15,6 +15,7 @@ from sil.fitting.hypotheses import scaled_of
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.store import Watched
 from sil.shift_diagnosis.track import Track
+from sil.shift_diagnosis.verdict import LARGEST
 from sil.shift_diagnosis.watch import tracked_causes
 
 
@@ -66,8 +67,8 @@ def _change_json(track: Track, number: int, causes: dict[str, Cause]) -> dict[st
 
 
 def _valued(cause: Cause | None, size: float, deviation: float) -> dict[str, Any]:
-    """Return a size with its 95 % interval, in the parameter's unit."""
-    if not np.isfinite(size):
+    """Return a size with its 95 % interval, in the parameter's unit; nothing if shifts do not show it."""
+    if not np.isfinite(size) or (cause is not None and deviation > LARGEST):
         return {"value": None, "low": None, "high": None, "unit": "-"}
     ends = [size + k * deviation for k in (0.0, -1.96, 1.96)]
     if cause is not None and np.isfinite(deviation):

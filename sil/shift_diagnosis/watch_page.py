@@ -62,6 +62,7 @@ def write_watch(
     text = json.dumps(finite(values), indent=1, ensure_ascii=False)
     write_atomically(folder / "watch.json", text + "\n")
     changed = sum(t["verdict"] in CHANGED for t in found)
+    shifts, changes = sum(t["shifts"] for t in found), sum(len(t["changes"]) for t in found)
     unknown = sum(t["verdict"] == "cannot_tell" for t in found)
     few = f"no change found; {unknown} of {len(found)} trucks have too few shifts to tell"
     head = Head(
@@ -75,8 +76,8 @@ def write_watch(
         good=not changed and not unknown,
         tiles=[
             (str(len(found)), noun(len(found), "truck")),
-            (str(sum(t["shifts"] for t in found)), "shifts"),
-            (str(sum(len(t["changes"]) for t in found)), "changes"),
+            (str(shifts), noun(shifts, "shift")),
+            (str(changes), noun(changes, "change")),
             ("1e-5", "false alarms a shift, at most"),
         ],
         again=again,

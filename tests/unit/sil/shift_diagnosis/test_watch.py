@@ -230,3 +230,16 @@ def test_logs_that_are_not_whole_are_named(
     (truck,) = json.loads((tmp_path / "out" / "watch.json").read_text())["trucks"]
     ((name, text),) = [row.values() for row in truck["faulty_logs"]]
     assert f"{name}: {text}".startswith(fault)
+
+
+def test_what_the_shifts_do_not_show_has_no_value(tmp_path: Path) -> None:
+    """A valve that closes later shows in no pulse: its deviation is thousands of typical sizes."""
+    log = tmp_path / "truck" / "1.log"
+    log.parent.mkdir()
+    by_reference(log, 12, 4, None)
+    assert main(["watch", str(log), "--out", str(tmp_path / "out")]) == 0
+    (truck,) = json.loads((tmp_path / "out" / "watch.json").read_text())["trucks"]
+    values = {row["name"]: row["value"] for row in truck["parameters"]}
+    assert values["valve_slow_close"] is None
+    assert values["valve_open_delay"] is not None
+    assert "not shown by these shifts" in (tmp_path / "out" / "report.html").read_text()
