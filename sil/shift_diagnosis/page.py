@@ -196,10 +196,8 @@ def extended_model(found: ShiftDiagnosis, base: str) -> str:
     (item,) = found.named
     cause = item.fit.cause
     assert cause is not None
-    own, source = (
-        interval(item),
-        f"diagnosed from {counted(len(found.shifts), 'shift')} of a truck's log",
-    )
+    own = interval(item)
+    source = f"diagnosed from {counted(len(found.shifts), 'shift')} of a truck's log"
     units = {p.name: p.unit for p in cause.effect.parameters}
     table = {
         name: Parameter(value, units[name], source)
@@ -216,7 +214,10 @@ def shifts_figure(found: ShiftDiagnosis) -> Figure:
     """Return a shift of each kind: recorded, the healthy truck, the best explanation, residuals."""
     stacks: list[Stack] = []
     kinds: set[tuple[str, str]] = set()
-    before, after = found.healthy.fit.linear, found.best.fit.linear
+    before = found.healthy.fit.linear
+    models = [("healthy truck", before, "before")]
+    if found.best is not found.healthy:
+        models.append((found.best.name, found.best.fit.linear, "after"))
     order = np.argsort(-before.misfit)
     for k in order.tolist():
         shift = found.shifts[k]
@@ -226,10 +227,7 @@ def shifts_figure(found: ShiftDiagnosis) -> Figure:
         ms = MS * (shift.time_s - LEAD_S)
         lines = [Series("recorded", ms, MM * shift.position_m, "measured", "marked", width=2.0)]
         residuals = []
-        for label, linear, role in (
-            ("healthy truck", before, "before"),
-            (found.best.name, after, "after"),
-        ):
+        for label, linear, role in models:
             rest = linear.residuals[k]
             lines.append(Series(label, ms, MM * (shift.position_m - rest), role, width=0.9))
             residuals.append(Series(label, ms, MM * rest, role, width=0.8))

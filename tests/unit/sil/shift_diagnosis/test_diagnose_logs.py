@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from sil.cli import main
@@ -14,6 +15,7 @@ from sil.files.progress import Progress
 from sil.shift_diagnosis import page
 from sil.shift_diagnosis.linear import NOISE
 from sil.shift_diagnosis.model import catalogue
+from sil.shift_diagnosis.shifts import Shift
 from sil.shift_diagnosis.verdict import Judged, ShiftDiagnosis
 
 
@@ -108,3 +110,19 @@ def test_a_log_that_is_given_twice_is_refused(
     out = tmp_path / "out"
     assert main(["diagnose", str(nominal_log), str(link), "--out", str(out)]) == 2
     assert f"{link}: given twice; expected each log once" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("is_best", [True, False])
+def test_a_healthy_truck_is_drawn_once(is_best: bool) -> None:
+    time_s = np.array([0.0, 0.01, 0.02])
+    shift = Shift("a.log", 0.0, "N", "B", (), time_s, time_s, 0.0, 0.0)
+    linear = SimpleNamespace(misfit=np.array([1.0]), residuals=[np.zeros(3)])
+    healthy, late = (
+        SimpleNamespace(name=name, fit=SimpleNamespace(linear=linear))
+        for name in ("healthy", "late")
+    )
+    best = healthy if is_best else late
+    found = SimpleNamespace(shifts=(shift,), healthy=healthy, best=best)
+    (stack,) = page.shifts_figure(found).stacks  # type: ignore[arg-type]
+    drawn = [series.label for series in stack.panels[0].series]
+    assert drawn == ["recorded", "healthy truck", *(() if is_best else ("late",))]
