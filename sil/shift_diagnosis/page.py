@@ -254,7 +254,7 @@ def diagnosed(
     """
     parameters = load_actuator(model)
     mapping = SignalMapping(*layout) if any(layout) else None
-    shifts: list[Shift] = []
+    shifts: dict[tuple[object, ...], Shift] = {}
     broken: list[str] = []
     read = set[str]()
     for path in logs:
@@ -262,9 +262,12 @@ def diagnosed(
             raise InputError(f"{path}: given twice; expected each log once")
         read.add(real)
         faults: list[str] = []
-        shifts += shifts_of(path, parameters, mapping, skipped, faults)
+        for shift in shifts_of(path, parameters, mapping, skipped, faults):
+            what = shift.begin_s, shift.commands, shift.position_m.tobytes()
+            if shifts.setdefault(what, shift) is not shift:
+                skipped["that an earlier log holds, too,"] += 1
         broken += [f"{path}: {fault}" for fault in faults]
-    found = judge_shifts(shifts, parameters, progress, workers)
+    found = judge_shifts(list(shifts.values()), parameters, progress, workers)
     return replace(found, findings=(*found.findings, *broken))
 
 

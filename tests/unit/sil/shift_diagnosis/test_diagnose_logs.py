@@ -96,7 +96,9 @@ def test_a_log_that_is_not_whole_is_a_finding(
     none = ShiftDiagnosis("consistent", (), (), {}, (), True, NOISE, ("of its own",), {})
     monkeypatch.setattr(page, "judge_shifts", lambda *_: none)
     logs = [str(nominal_log), str(broken)]
-    found = page.diagnosed(logs, "nominal", (None, None), Counter(), Progress("x"))
+    skipped = Counter[str]()
+    found = page.diagnosed(logs, "nominal", (None, None), skipped, Progress("x"))
+    assert skipped["that an earlier log holds, too,"] >= 4
     own, line = found.findings
     assert own == "of its own"
     assert line.startswith(f"{broken}: broken and skipped: 1, the first line 1: ")
