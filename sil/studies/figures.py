@@ -252,7 +252,7 @@ def choices_figure(study: LoadedStudy, table: Table) -> Figure:
             title += ", median" if repeated else ""
             panels.append(Panel(title, unit, lines, spans=spans, height=240))
     ticks, width = numbered(by.names), max(6.0, 0.8 * len(by.names))
-    stack = Stack(by.kind, panels, f"By {by.kind}", ticks=ticks, width=width)
+    stack = Stack(by.kind, panels, f"By {by.kind}" if by.kind else "", ticks=ticks, width=width)
     return Figure([stack], title_of(study))
 
 

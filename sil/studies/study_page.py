@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sil.files.atomic import write_atomically
+from sil.files.quantity import noun
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
@@ -38,8 +39,8 @@ def write_page(
         verdict=", ".join(words) or "all rows passed",
         good=not words,
         tiles=[
-            (str(found["rows"]), "rows"),
-            (str(len(entries)), "groups"),
+            (str(found["rows"]), noun(found["rows"], "row")),
+            (str(len(entries)), noun(len(entries), "group")),
             (f"{100 * failed:.3g} %", "shift not done" if safety else "failed"),
             *_ranges(study, table),
         ],

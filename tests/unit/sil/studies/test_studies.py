@@ -238,3 +238,26 @@ def test_what_is_no_number_is_drawn_by_name(tmp_path: Path) -> None:
         ]
         assert len(expected) == 3
         np.testing.assert_allclose(line.y, expected, rtol=1e-5)
+
+
+def test_a_study_of_one_row_has_a_picture_without_a_choice(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """
+        name = "one"
+        reads = ["arrival_s"]
+        [stroke]
+        kind = "N-B"
+        commands = [[0.01, "B", 0.98]]
+        until_s = 0.2
+        [[sweep]]
+        path = "stroke.supply_pressure_pa"
+        values = [9e5]
+        """
+    )
+    assert main(["whatif", str(path), "--out", str(tmp_path / "out")]) == 0
+    study = load_study(str(path))
+    (stack,) = choices_figure(study, read_table(study, tmp_path / "out")).stacks
+    assert stack.title == ""
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert ">row<" in page and ">group<" in page
