@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -142,11 +142,16 @@ def check_files(files: Sequence[str], source: Path) -> None:
 
 @dataclass(frozen=True)
 class CampaignStroke:
-    """One stroke's conditions and the file that holds it."""
+    """One stroke's conditions and the file that holds it, by its path from the campaign's folder."""
 
     file: str
     label: str
     conditions: StrokeConditions
+
+    @property
+    def session(self) -> str:
+        """Folder of the file: what was measured on one day, with the same zeros of the gauges."""
+        return str(Path(self.file).parent) if Path(self.file).name != self.file else ""
 
 
 @dataclass(frozen=True)
@@ -248,6 +253,36 @@ def load_campaign(path: str | Path) -> Campaign:
     )
     top = {key: getattr(table, key) for key in TOP}
     return Campaign(file.parent, **top, strokes=strokes, columns=column_maps(table.columns))
+
+
+def joined(campaigns: Sequence[Campaign]) -> Campaign:
+    """Return several campaigns of one unit as one, files by their path; a single one as it is.
+
+    Raises InputError for a campaign that is there twice, and for unlike [columns].
+    """
+    first, *more = campaigns
+    if not more:
+        return first
+    places = [one.folder.resolve() for one in campaigns]
+    for number, one in enumerate(campaigns):
+        if places[number] in places[:number]:
+            raise InputError(f"{one.folder}: the same campaign twice; expected each once")
+        if one.columns != first.columns:
+            raise InputError(
+                f"{one.folder / 'campaign.toml'}: columns: not those of {first.folder}; expected "
+                "campaigns of one recorder"
+            )
+    return replace(
+        first,
+        folder=Path(),
+        name=" + ".join(one.name for one in campaigns),
+        rig=first.rig if all(one.rig == first.rig for one in more) else "both",
+        strokes=tuple(
+            replace(entry, file=str(one.folder / entry.file))
+            for one in campaigns
+            for entry in one.strokes
+        ),
+    )
 
 
 def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> Record:
@@ -362,6 +397,11 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
         values |= {key: getattr(c, key) for key in optional if getattr(c, key)}
         lines += ["", "[[stroke]]"]
         lines += [f"{key} = {toml_value(value)}" for key, value in values.items()]
+    if campaign.columns:
+        lines += ["", "[columns]"]
+    for name, source in campaign.columns.items():
+        table = ", ".join(f"{key} = {toml_value(v)}" for key, v in asdict(source).items())
+        lines.append(f"{name} = {{ {table} }}")
     return "\n".join(lines) + "\n"
 
 

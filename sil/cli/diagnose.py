@@ -20,13 +20,15 @@ from sil.cli.options import EFFECTS, JSON, argument, out
 EXAMPLE = """\
 example:
   opc4 diagnose measured/ --out diagnosis/
+  opc4 diagnose measured/ --next --out first/      then measure first/next/, and
+  opc4 diagnose measured/ first/next/ --out second/
   opc4 diagnose truck-monday.asc truck-tuesday.asc --out truck-diagnosis/
 """
 
 ARGUMENTS = (
     argument(
         "campaign",
-        "campaign folder, or CAN logs of one truck; with --new, measured files",
+        "campaign folders of one unit, or CAN logs of one truck; with --new, measured files",
         "CAMPAIGN",
         nargs="+",
     ),
@@ -35,6 +37,10 @@ ARGUMENTS = (
         "draft a campaign of the files in this folder: columns, units, picture, open questions",
         "DIR",
         type=Path,
+    ),
+    argument(
+        "--next",
+        "also write OUT/next/campaign.toml: the strokes to measure next",
     ),
     argument(
         "--model",
@@ -56,8 +62,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises InputError for a campaign or an effect that is not valid.
     """
-    from plant.effects.user_file import load_effects
-
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     if arguments.new is not None:
@@ -66,40 +70,62 @@ def run(arguments: argparse.Namespace) -> int:
         if not Path(item).exists():
             raise InputError(f"{item}: does not exist; expected a campaign folder or CAN logs")
     if all(Path(item).is_file() and Path(item).suffix != ".toml" for item in arguments.campaign):
+        if arguments.next:
+            raise InputError("--next: not with CAN logs; expected a campaign folder")
         return run_logs(arguments)
-    if len(arguments.campaign) > 1:
-        raise InputError(
-            "several campaigns; expected one, or CAN logs, or --new DIR and measured files"
-        )
-    (arguments.campaign,) = arguments.campaign
     for option in ("map", "dbc"):
         if getattr(arguments, option):
             raise InputError(f"--{option}: not together with a campaign; expected CAN logs")
+    return run_campaigns(arguments)
+
+
+def run_campaigns(arguments: argparse.Namespace) -> int:
+    """Diagnose a unit by one or more campaigns; 1 if not consistent.
+
+    Raises InputError for a campaign or an effect that is not valid, and campaigns that do not go together.
+    """
+    from plant.effects.user_file import load_effects
+
     # before the modules below, which list what the catalogue holds
     stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load
-    from sil.campaign.campaign import load_campaign
+    from sil.campaign.campaign import joined, load_campaign
     from sil.diagnosis.diagnosis import diagnose
     from sil.diagnosis.force_record import is_force_rig
-    from sil.diagnosis.report import write_report
+    from sil.diagnosis.report import write_next, write_report
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
 
-    if is_force_rig(arguments.campaign):
-        if arguments.model != "nominal":
-            raise InputError('--model: not together with rig = "force"; expected none')
-        return run_force(arguments, stamps)
-    campaign = load_campaign(arguments.campaign)
+    folders: list[str] = arguments.campaign
+    for item in folders:
+        if is_force_rig(item):
+            if len(folders) > 1:
+                raise InputError(f'{item}: rig = "force" among other campaigns; expected it alone')
+            for option, unset in (("model", "nominal"), ("next", False)):
+                if getattr(arguments, option) != unset:
+                    raise InputError(f'--{option}: not together with rig = "force"; expected none')
+            return run_force(arguments, item, stamps)
+    campaign = joined([load_campaign(item) for item in folders])
     parameters = load(arguments.model)
+    if arguments.next and arguments.out is not None:
+        held = sorted(path.name for path in (arguments.out / "next").glob("*.csv"))
+        if held:
+            raise InputError(f"{arguments.out / 'next'}: holds {held[0]}; expected another --out")
     folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
     workers = arguments.workers
     with Progress(f"diagnosing {campaign.name}", "%", at_once=True) as progress:
-        result = diagnose(campaign, parameters, workers=workers, progress=progress)
+        plan = arguments.next
+        result = diagnose(campaign, parameters, workers=workers, progress=progress, plan=plan)
     if result.extended is not None:
         write_atomically(folder / "extended_model.toml", result.extended)
-    beyond = write_report(result, folder, arguments.campaign, arguments.model, workers)
-    return _finish(arguments, folder, finite(result.as_json() | beyond | {"effects": stamps}))
+    options = " --next" if arguments.next else ""
+    again = f"{shlex.join(folders)} --model {arguments.model}{options}"
+    beyond = write_report(result, folder, again, arguments.model, workers)
+    values = finite(result.as_json() | beyond | {"effects": stamps})
+    if arguments.next:
+        values["next_campaign"] = write_next(result, folder)
+    return _finish(arguments, folder, values)
 
 
 def new_campaign(arguments: argparse.Namespace) -> int:
@@ -142,17 +168,17 @@ def new_campaign(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def run_force(arguments: argparse.Namespace, stamps: list[str]) -> int:
+def run_force(arguments: argparse.Namespace, campaign: str, stamps: list[str]) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if not consistent."""
     from sil.diagnosis.force_page import write_page
     from sil.diagnosis.force_record import read_motion
     from sil.diagnosis.force_rig import diagnose_motion
     from sil.files.output_folder import finite, prepare_folder
 
-    record = read_motion(arguments.campaign)
+    record = read_motion(campaign)
     folder = prepare_folder(arguments.out, f"{record.name}-diagnosis", arguments.force)
     found = diagnose_motion(record)
-    write_page(found, folder, arguments.campaign)
+    write_page(found, folder, campaign)
     return _finish(arguments, folder, finite(found.as_json() | {"effects": stamps}))
 
 
@@ -197,5 +223,21 @@ def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) 
             print(f"  {key} {item['value']:.4g} {item['unit']} {limits}")
         for line in found["findings"]:
             print(f"  {line}")
+        if arguments.next:
+            _print_next(found)
         print(f"  written to {folder}", file=sys.stderr)
     return 0 if found["verdict"] == "consistent" else 1
+
+
+def _print_next(found: dict[str, Any]) -> None:
+    """Print the strokes to measure next, alike ones once."""
+    following = found["next_experiment"]
+    if following is None:
+        print("  next: nothing is open that a stroke of this rig would tell")
+        return
+    print(f"  next: {following['why']}")
+    strokes = following["strokes"]
+    for label, count in Counter(stroke["label"] for stroke in strokes).items():
+        each = next(s["expected_distance"] for s in strokes if s["label"] == label)
+        print(f"    {count} x {label}: {each:.3g} each")
+    print(f"    written to {found['next_campaign']}")

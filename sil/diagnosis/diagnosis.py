@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -85,7 +85,7 @@ class Diagnosis:
             self.findings,
             FALSE_ALARM_BASIS,
             rivals=[list(group) for group in self.verdict.rivals],
-            next_experiment=self.next_experiment and asdict(self.next_experiment),
+            next_experiment=self.next_experiment and self.next_experiment.as_json(),
             gain=self.gain.as_json(),
             extended_model=None if self.extended is None else "extended_model.toml",
             detectability=self.structure.sentence(),
@@ -104,11 +104,13 @@ def diagnose(
     *,
     workers: int = 2,
     progress: Show = no_progress,
+    plan: bool = False,
 ) -> Diagnosis:
     """Diagnose a campaign of the project's own rigs.
 
-    parameters: the model to compare with. progress(done, size): called from time to time.
-    Deterministic; the same with any number of workers.
+    parameters: the model to compare with. progress(done, size): called from time to time. plan: say
+    what to measure next even if nothing is left to separate. Deterministic; the same with any
+    number of workers.
 
     Raises
     ------
@@ -148,13 +150,14 @@ def diagnose(
     gain = gain_between(model, verdict, held_out)
     causes = causes_of(search.fitter, verdict, judged, final, workers)
     extended = extended_model(parameters, final, causes, campaign) if verdict.claimed else None
-    following = next_experiment(model, verdict, judged)
     findings += check_strokes(model, final) + left_out(refusals, search, verdict, campaign.name)
     noticed = smallest_noticed(search, len(strokes)) if not verdict.claimed else {}
     unable = "" if verdict.claimed else _unable(verdict.healthy.whole, noticed, search)
     if unable:
         verdict = replace(verdict, kind="cannot_tell")
         findings.insert(0, Finding(campaign.name, "all", unable))
+    missed = unnoticed(search, noticed) if plan or unable else []
+    following = next_experiment(model, parameters, campaign, verdict, judged, missed, confirm=plan)
     return Diagnosis(
         campaign,
         verdict,
@@ -238,6 +241,15 @@ def smallest_noticed(search: Search, strokes: int) -> Noticed:
                 "size": size,
             }
     return found
+
+
+def unnoticed(search: Search, noticed: Noticed) -> list[Candidate]:
+    """Return the causes that would not have been claimed at their typical size, each in one form."""
+    found: dict[str, Candidate] = {}
+    for item in search.candidates:
+        if item.id not in noticed or float(noticed[item.id]["size"]) >= 1.0:
+            found.setdefault(item.id, item)
+    return list(found.values())
 
 
 def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from plant.effects.term import TermForm
     from sil.diagnosis.diagnosis import Diagnosis
     from sil.diagnosis.intervals import Interval
+    from sil.diagnosis.next_experiment import NextExperiment
     from sil.diagnosis.one_equation import Alone
+    from sil.fitting.observations import Channel
 STROKES_DRAWN = 3
 BEFORE, AFTER = "healthy model", "extended model"
 UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
@@ -79,8 +81,7 @@ def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
             predicted = scale * (channel.measured - r * channel.sd)
             lines.append(Series(name, x, predicted, role, dashed=dashed, width=0.9))
             residuals.append(Series(name, x, r, role, width=0.6))
-        title = channel.name.removesuffix("_m").removesuffix("_pa").replace("_", " ")
-        yield Panel(title, unit, lines, height=120, legend=n == 0)
+        yield Panel(_title(channel), unit, lines, height=120, legend=n == 0)
         band = Span(-inf, inf, "grid", "", -3.0, 3.0)
         yield Panel("residual / sd", "", residuals, spans=[band], height=80, legend=False)
 
@@ -146,3 +147,31 @@ def term_figure(form: TermForm, nodes: Sequence[Interval]) -> Figure:
         height=220,
     )
     return Figure([Stack(form.on, [panel], width=12.0)])
+
+
+def next_figure(experiment: NextExperiment) -> Figure:
+    """Return what two hypotheses predict of the most telling stroke, and their difference."""
+    stroke = experiment.shown
+    ms = MS * stroke.time_s
+    names = list(experiment.predicted)
+    parts = [list(channel_parts(stroke, numbers)) for numbers in experiment.predicted.values()]
+    panels = []
+    for n, channel in enumerate(stroke.channels):
+        unit, scale = UNITS[channel.kind]
+        x = ms[channel.rows]
+        roles = zip(names, ("before", "after"), (False, True), parts, strict=True)
+        lines = [
+            Series(name, x, scale * part[n][1] * channel.sd, role, dashed=dashed, width=1.2)
+            for name, role, dashed, part in roles
+        ]
+        panels.append(Panel(_title(channel), unit, lines, height=110, legend=n == 0))
+        apart = parts[0][n][1] - parts[1][n][1]
+        band = Span(-inf, inf, "grid", "", -3.0, 3.0)
+        series = [Series("difference", x, apart, "measured", width=0.8)]
+        panels.append(Panel("difference / sd", "", series, spans=[band], height=70, legend=False))
+    title = experiment.strokes[0].entry.label
+    return Figure([Stack("time, ms", panels, title, width=12.0)])
+
+
+def _title(channel: Channel) -> str:
+    return channel.name.removesuffix("_m").removesuffix("_pa").replace("_", " ")

@@ -1,87 +1,427 @@
-"""The stroke that separates the remaining rivals best.
+"""The strokes to measure next: those from which most is to be learned about what is still open.
 
-Checked by: tests/unit/sil/diagnosis/test_diagnose.py
+What is open are questions, each a few hypotheses with probabilities: the rivals of a verdict; the
+named cause and the next best explanation; or, where nothing is claimed, a healthy unit and one with
+a cause that these strokes would not have shown.  A stroke is worth what it is expected to add to
+the log evidence of a hypothesis that is true over another one,
+
+    d = 1/2 (r' W r - g' M^-1 g),  W = (1 + B B')^-1,  g = J' W r,  M = P + J' W J,
+
+r being the difference of the two predictions, B the derivatives by the stroke's own scatter, J those
+of the false one by all that it may move to follow (tolerances, offsets, its own parameters), and P
+what the strokes measured so far say of those.  Sums over strokes of r'Wr, g and J'WJ give d of them
+together.  From d follows the expected information on a question, by the estimate for mixtures of
+Kolchinsky and Tracey (Entropy 19, 2017, 361), and strokes are added one by one where it grows most.
+The idea to place strokes where rivals differ is Box and Hill's (Technometrics 9, 1967, 57-71).
+Assumed: predictions are linear within what is still uncertain, and a true hypothesis has its fitted
+parameters.
+Checked by: tests/unit/sil/diagnosis/test_next_experiment.py
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import permutations
 from typing import Any
 
 import numpy as np
 
 from plant.errors import IntegrationError
-from sil.diagnosis.verdict import Judged, Verdict
+from plant.parameters import ParameterSet
+from sil.campaign.campaign import Campaign, CampaignStroke, Floats
+from sil.diagnosis.designs import described, designs, imagined
+from sil.diagnosis.verdict import CLAIM, CLAIM_PER_STROKE, CONTEST, Judged, Verdict
 from sil.fitting.fit import FitResult
+from sil.fitting.hypotheses import Candidate
 from sil.fitting.model import CampaignModel
+from sil.fitting.observations import StrokeObservation
 
-ENOUGH = 15.0
-"""Distance in log evidence at which two rivals count as separated."""
+ENOUGH = CLAIM
+"""Log evidence at which two hypotheses count as separated."""
+SURE = 3.0
+"""Log evidence that would do if the equations were exact: ENOUGH counts as this much."""
+MOST = 12
+"""Strokes that are proposed at most."""
+MOST_RIVALS = 4
+"""Hypotheses of a question at most."""
+LEAST = 0.01
+"""Share of a question's information below which a further stroke is not worth its work."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What may be true: causes, shared parameters [shared], and the information on them so far."""
+
+    name: str
+    candidates: tuple[Candidate, ...]
+    shared: Floats
+    normal: Floats
+
+    @classmethod
+    def of(cls, fit: FitResult) -> Hypothesis:
+        """Return the hypothesis of a fit."""
+        return cls(fit.name, fit.candidates, fit.shared, fit.normal)
+
+
+@dataclass(frozen=True)
+class Question:
+    """Hypotheses by number with their probabilities, the pairs (true, false) to tell apart, and what is enough."""
+
+    hypotheses: tuple[int, ...]
+    probabilities: Floats
+    pairs: tuple[tuple[int, int], ...]
+    enough: float = ENOUGH
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """One stroke to measure: expected log evidence by (true, false), of the stroke alone."""
+
+    entry: CampaignStroke
+    alone: dict[tuple[str, str], float]
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """The pair (true, false) that it tells apart best."""
+        return max(self.alone, key=lambda pair: self.alone[pair])
+
+    @property
+    def distance(self) -> float:
+        """Expected log evidence for that pair."""
+        return self.alone[self.pair]
 
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """Conditions of the stroke to measure, what it separates, and how well."""
+    """The strokes to measure, the first one the most telling, and how well they separate together.
 
-    conditions: dict[str, Any]
-    separates: tuple[str, ...]
-    expected_distance: float
-    why: str
-
-
-def next_experiment(
-    model: CampaignModel, verdict: Verdict[Judged], judged: list[Judged]
-) -> NextExperiment | None:
-    """Of the kinds of strokes that were measured, the one at which two rivals differ most.
-
-    Each rival keeps its own fitted healthy quantities, and the stroke's own scatter is fitted away,
-    so the distance is what a repeat would really add.  None if nothing needs separating.
+    together: expected log evidence of all of them by (true, false); shown, predicted: the first one
+    as it would be observed, and what the pair that it tells apart best predicts [n], standardised.
     """
-    if not verdict.rivals:
-        return None
-    one, two = verdict.rivals[0][:2]
-    first = verdict.leader
-    others = [i for i in judged if i.ids and i is not first and (two in i.ids or one not in i.ids)]
-    if not others:
-        return None
-    second = others[0]
-    distances: dict[int, float] = {}
-    for k in range(len(model.strokes)):
-        with suppress(IntegrationError):
-            distances[k] = _separation(model, first.training, second.training, k)
-    if not distances:
-        return None
-    best = max(distances, key=lambda k: distances[k])
-    distance = distances[best]
-    conditions = model.strokes[best].conditions
-    repeats = max(1, int(np.ceil(ENOUGH / max(distance, 0.05))))
-    return NextExperiment(
-        {
-            "kind": conditions.kind,
-            "supply_pressure_pa": conditions.supply_pressure_pa,
-            "load": conditions.load,
-            "rest_s": conditions.rest_s,
-            "charged_before": list(conditions.charged_before),
-            "commands": [list(item) for item in conditions.commands],
-            "repeats": repeats,
-        },
-        (first.name, second.name),
-        distance,
-        f"like {model.strokes[best].entry.file}: the two explanations differ there by {distance:.2g} "
-        f"in log evidence a stroke, more than in any other; {repeats} repeats decide",
+
+    strokes: tuple[Proposed, ...]
+    separates: tuple[str, ...]
+    together: dict[tuple[str, str], float]
+    shown: StrokeObservation
+    predicted: dict[str, Floats]
+    enough: float
+    purpose: str
+
+    def __iter__(self) -> Iterator[tuple[int, Proposed]]:
+        """Yield strokes that are not alike, and how often each is to be measured."""
+        counts = Counter(item.entry.conditions for item in self.strokes)
+        for item in {item.entry.conditions: item for item in reversed(self.strokes)}.values():
+            yield counts[item.entry.conditions], item
+
+    @property
+    def separated(self) -> bool:
+        """Whether every pair is expected to be told apart."""
+        return min(self.together.values()) >= self.enough
+
+    @property
+    def weakest(self) -> tuple[str, str]:
+        """The pair (true, false) that is told apart worst."""
+        return min(self.together, key=lambda pair: self.together[pair])
+
+    @property
+    def why(self) -> str:
+        """One sentence: what the strokes are for and what is expected of them."""
+        count = len(self.strokes)
+        one, two = self.weakest
+        least, told = self.together[one, two], sum(d >= self.enough for d in self.together.values())
+        text = f"{self.purpose}: {count} {'stroke' if count == 1 else 'strokes'} "
+        if self.separated:
+            return (
+                text + f"{'gives' if count == 1 else 'give'} at least {least:.3g} in log evidence"
+            )
+        if len(self.together) > 2:
+            return text + f"would show {told} of {len(self.together)}"
+        return text + (
+            f"{'gives' if count == 1 else 'give'} {least:.3g} in log evidence for {one} against {two}; "
+            f"{self.enough:.3g} would be enough"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object in diagnosis.json: the first stroke's conditions, then all strokes."""
+        first = self.strokes[0]
+        return {
+            "conditions": {**conditions_of(first.entry), "repeats": next(iter(self))[0]},
+            "separates": list(self.separates),
+            "expected_distance": first.distance,
+            "why": self.why,
+            "enough": self.enough,
+            "strokes": [
+                {
+                    "file": item.entry.file,
+                    "label": item.entry.label,
+                    "true": item.pair[0],
+                    "false": item.pair[1],
+                    "expected_distance": item.distance,
+                }
+                for item in self.strokes
+            ],
+            "together": [
+                {"true": one, "false": two, "expected_distance": d}
+                for (one, two), d in self.together.items()
+            ],
+        }
+
+
+def next_campaign(campaign: Campaign, experiment: NextExperiment) -> Campaign:
+    """Return the campaign to measure next: the proposed strokes, the recorder's columns as before."""
+    return replace(
+        campaign,
+        name=f"{campaign.name}, next",
+        strokes=tuple(item.entry for item in experiment.strokes),
     )
 
 
-def _separation(model: CampaignModel, first: FitResult, second: FitResult, k: int) -> float:
-    """Half the squared standardised distance of two predictions, the stroke's scatter fitted away."""
-    zero = np.zeros(len(model.scatter))
-    one = model.linearise(k, first.shared, zero, first.candidates)
-    healthy = first.layout.healthy
-    setup = model.setup(k, model.amounts(second.shared, zero), second.candidates, second.values)
-    offsets = second.shared[len(model.unit) : healthy] - first.shared[len(model.unit) : healthy]
-    change = model.predict(k, setup) - one.base + model.offset_columns[k] @ offsets
-    b = one.scatter
-    inner = b.T @ change
-    inverse = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
-    return 0.5 * float(change @ change - inner @ inverse @ inner)
+def conditions_of(entry: CampaignStroke) -> dict[str, Any]:
+    """Return a stroke's conditions as campaign.toml has them."""
+    c = entry.conditions
+    return {
+        "kind": c.kind,
+        "supply_pressure_pa": c.supply_pressure_pa,
+        "load": c.load,
+        "rest_s": c.rest_s,
+        "charged_before": list(c.charged_before),
+        "commands": [list(item) for item in c.commands],
+    }
+
+
+def next_experiment(
+    model: CampaignModel,
+    parameters: ParameterSet,
+    campaign: Campaign,
+    verdict: Verdict[Judged],
+    judged: Sequence[Judged],
+    unnoticed: Sequence[Candidate] = (),
+    *,
+    confirm: bool = False,
+) -> NextExperiment | None:
+    """Return the strokes to measure next; None if nothing is open, or no stroke of the rig tells more.
+
+    unnoticed: causes that these strokes would not have shown at their typical size; confirm: ask
+    also whether a cause without rivals is the next best explanation after all.
+    """
+    hypotheses: list[Hypothesis]
+    if verdict.rivals or (verdict.claimed and confirm):
+        hypotheses, question = _between(verdict, judged)
+        questions = [question] if question else []
+        purpose = "to separate " if verdict.rivals else "to check "
+        purpose += " from ".join(item.name for item in hypotheses)
+    elif not verdict.claimed and unnoticed:
+        healthy = Hypothesis.of(verdict.healthy.training)
+        hypotheses = [healthy, *(_with(healthy, candidate) for candidate in unnoticed)]
+        enough = max(CLAIM, CLAIM_PER_STROKE * (len(model.strokes) + MOST))
+        halves = np.array([0.5, 0.5])
+        questions = [Question((k, 0), halves, ((k, 0),), enough) for k in range(1, len(hypotheses))]
+        count = len(unnoticed)
+        purpose = f"to show {count} {'cause' if count == 1 else 'causes'} of typical size"
+    else:
+        return None
+    if not questions:
+        return None
+    terms = any(candidate.is_term for item in hypotheses for candidate in item.candidates)
+    entries = designs(model.strokes, "next", every_rest=terms)
+    rate_hz = campaign.sample_rate_hz
+    strokes = imagined(entries, model.strokes, parameters, rate_hz)
+    wider = CampaignModel([*model.strokes, *strokes], model.spread)
+    moved = [_moved(wider, model, item) for item in hypotheses]
+    picked, alone, together = _chosen(wider, len(model.strokes), moved, questions)
+    if not picked:
+        return None
+
+    def by_name(distances: Distances) -> dict[tuple[str, str], float]:
+        return {(moved[i].name, moved[j].name): d for (i, j), d in distances.items()}
+
+    proposed = []
+    for number, k in enumerate(picked, start=1):
+        conditions = wider.strokes[k].conditions
+        entry = CampaignStroke(f"stroke_{number:03d}.csv", described(conditions), conditions)
+        proposed.append(Proposed(entry, by_name(alone[k])))
+    best = proposed[0].pair
+    return NextExperiment(
+        tuple(proposed),
+        tuple(item.name for item in moved),
+        by_name(together),
+        wider.strokes[picked[0]],
+        {item.name: _predicted(wider, picked[0], item) for item in moved if item.name in best},
+        questions[0].enough,
+        purpose,
+    )
+
+
+def _between(
+    verdict: Verdict[Judged], judged: Sequence[Judged]
+) -> tuple[list[Hypothesis], Question | None]:
+    """Return the leading explanations, and the question which of them is true."""
+    leader = verdict.leader
+    asked = {name for group in verdict.rivals for name in group}
+    found = {frozenset(leader.ids): leader}
+    for item in sorted(judged, key=lambda item: item.score):
+        if not item.ids or len(found) == MOST_RIVALS:
+            continue
+        if verdict.rivals:
+            possible = item.probability >= CONTEST * leader.probability and asked & set(item.ids)
+        else:  # the next best one, whatever its probability
+            possible = len(found) < 2
+        if possible:
+            found.setdefault(frozenset(item.ids), item)
+    hypotheses = [Hypothesis.of(item.training) for item in found.values()]
+    if len(found) < 2:
+        return hypotheses, None
+    weights = np.array([item.probability if verdict.rivals else 1.0 for item in found.values()])
+    numbers = tuple(range(len(found)))
+    return hypotheses, Question(numbers, weights / weights.sum(), tuple(permutations(numbers, 2)))
+
+
+def _with(healthy: Hypothesis, candidate: Candidate) -> Hypothesis:
+    """Return the healthy unit with a cause of typical size."""
+    own = np.zeros(len(candidate.parameters))
+    own[0] = candidate.parameters[0].sign or 1.0
+    return Hypothesis(
+        candidate.name, (candidate,), np.concatenate([healthy.shared, own]), healthy.normal
+    )
+
+
+Distances = dict[tuple[int, int], float]
+"""Expected log evidence by (true, false), hypotheses by number."""
+
+
+# --- what a stroke tells ------------------------------------------------------------------------
+@dataclass
+class Told:
+    """Sums over strokes: r'Wr and J'Wr by pair (true, false), J'WJ by hypothesis."""
+
+    squares: dict[tuple[int, int], float]
+    gradients: dict[tuple[int, int], Floats]
+    normals: dict[int, Floats]
+
+    def plus(self, other: Told) -> Told:
+        """Return the sums over the strokes of both."""
+        return Told(
+            {pair: value + other.squares[pair] for pair, value in self.squares.items()},
+            {pair: value + other.gradients[pair] for pair, value in self.gradients.items()},
+            {j: value + other.normals[j] for j, value in self.normals.items()},
+        )
+
+    def distances(self) -> Distances:
+        """Return the expected log evidence of each pair."""
+        return {
+            (i, j): 0.5 * float(square - g @ np.linalg.solve(self.normals[j], g))
+            for (i, j), square in self.squares.items()
+            for g in (self.gradients[i, j],)
+        }
+
+
+def information(question: Question, distances: Distances) -> float:
+    """Return the expected information on a question, 0 to the entropy of its probabilities.
+
+    distances: log evidence by (true, false); the other way round the same where it is missing.
+    """
+    scale = SURE / question.enough
+    total = 0.0
+    for i, p in zip(question.hypotheses, question.probabilities, strict=True):
+        mixture = 0.0
+        for j, q in zip(question.hypotheses, question.probabilities, strict=True):
+            d = 0.0 if i == j else distances.get((i, j), distances.get((j, i), 0.0))
+            mixture += q * np.exp(-scale * d)
+        total -= p * np.log(mixture)
+    return float(total)
+
+
+def _told(
+    model: CampaignModel, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
+) -> Told:
+    """Return what stroke k would tell. Raises IntegrationError if a hypothesis cannot simulate it."""
+    pairs = dict.fromkeys(pair for question in questions for pair in question.pairs)
+    predicted = {i: _predicted(model, k, hypotheses[i]) for pair in pairs for i in pair}
+    out = Told({}, {}, {})
+    for j in dict.fromkeys(two for _one, two in pairs):
+        item = hypotheses[j]
+        block = model.linearise(k, item.shared, np.zeros(len(model.scatter)), item.candidates)
+        b, by = block.scatter, block.shared
+        inner = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
+
+        def weighted(x: Floats, b: Floats = b, inner: Floats = inner) -> Floats:
+            return x - b @ (inner @ (b.T @ x))
+
+        w_by = weighted(by)
+        out.normals[j] = by.T @ w_by
+        for i, false in pairs:
+            if false == j:
+                r = predicted[i] - predicted[j]
+                out.squares[i, j] = float(r @ weighted(r))
+                out.gradients[i, j] = w_by.T @ r
+    return out
+
+
+def _predicted(model: CampaignModel, k: int, item: Hypothesis) -> Floats:
+    """Return the compared numbers [n] of stroke k under a hypothesis, offsets included."""
+    setup, states = model.here(k, item.shared, np.zeros(len(model.scatter)), item.candidates)
+    first = len(model.unit)
+    offsets = item.shared[first : first + len(model.offsets)]
+    return model.numbers_of(k, setup, states, rounded=False) + model.offset_columns[k] @ offsets
+
+
+def _moved(model: CampaignModel, old: CampaignModel, item: Hypothesis) -> Hypothesis:
+    """Return a hypothesis among the parameters of another model, new offsets at their prior."""
+    own = len(model.layout(item.candidates).effects)
+    names = [*model.unit, *model.offsets]
+    size = len(names) + own
+    at = [names.index(name) for name in (*old.unit, *old.offsets)] + list(range(len(names), size))
+    shared = np.zeros(size)
+    shared[at] = item.shared
+    normal = np.eye(size)
+    rows = at[: len(item.normal)]
+    normal[np.ix_(rows, rows)] = item.normal
+    return Hypothesis(item.name, item.candidates, shared, normal)
+
+
+def _chosen(
+    model: CampaignModel,
+    measured: int,
+    hypotheses: Sequence[Hypothesis],
+    questions: Sequence[Question],
+) -> tuple[list[int], dict[int, Distances], Distances]:
+    """Return the strokes chosen one by one, alike ones together, what each tells alone, and together.
+
+    The first `measured` strokes of the model cannot be chosen.
+    """
+    choices: dict[int, Told] = {}
+    for k in range(measured, len(model.strokes)):
+        with suppress(IntegrationError):
+            choices[k] = _told(model, k, hypotheses, questions)
+    if not choices:
+        return [], {}, {}
+    some = next(iter(choices.values()))
+    nothing = sums = Told(
+        dict.fromkeys(some.squares, 0.0),
+        {pair: np.zeros(len(g)) for pair, g in some.gradients.items()},
+        {j: hypotheses[j].normal for j in some.normals},
+    )
+
+    def value(told: Told) -> float:
+        distances = told.distances()
+        return sum(information(question, distances) for question in questions)
+
+    picked: list[int] = []
+    reached = value(sums)
+    most = sum(float(-q.probabilities @ np.log(q.probabilities)) for q in questions)
+    while len(picked) < MOST:
+        best = max(choices, key=lambda k: value(sums.plus(choices[k])))
+        told = sums.plus(choices[best])
+        gained = value(told) - reached
+        if gained < LEAST * most:
+            break
+        picked.append(best)
+        sums, reached = told, reached + gained
+        if all(d >= questions[0].enough for d in sums.distances().values()):
+            break
+    picked = sorted(picked, key=picked.index)
+    alone = {k: nothing.plus(choices[k]).distances() for k in picked}
+    return picked, alone, sums.distances()

@@ -18,7 +18,7 @@ from plant.systems.imposed import motion_along, pressures_along
 from sil.campaign.campaign import Floats
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel
-from sil.fitting.observations import Channel
+from sil.fitting.observations import Channel, StrokeObservation
 
 SMOOTH_SAMPLES = 4.0
 """Width of the smoothing of the measured position, which is a volume of a chamber."""
@@ -54,7 +54,11 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
     setup = model.setup(k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values)
     rows = max((c.rows for c in stroke.channels), key=len, default=np.zeros(0, dtype=np.int64))
     time_s = stroke.time_s[rows]
-    whole = {c.name: _cleared(model, fit, c) for c in stroke.channels if len(c.rows) == len(time_s)}
+    whole = {
+        c.name: _cleared(model, fit, stroke, c)
+        for c in stroke.channels
+        if len(c.rows) == len(time_s)
+    }
     columns = {name: f"pressure_{name}_pa" for name in stroke.conditions.chambers}
     position = whole.get("position_m")
     if position is None:
@@ -76,8 +80,10 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
     return Alone(time_s, force, pressures)
 
 
-def _cleared(model: CampaignModel, fit: FitResult, channel: Channel) -> Floats:
+def _cleared(
+    model: CampaignModel, fit: FitResult, stroke: StrokeObservation, channel: Channel
+) -> Floats:
     """Return a measured channel with its fitted offset taken off."""
-    index = len(model.unit) + model.offsets.index(channel.name)
+    index = len(model.unit) + model.offsets.index(stroke.offset_of(channel))
     size = model.spread.offset[channel.kind]
     return np.asarray(channel.measured - fit.shared[index] * size)

@@ -13,16 +13,19 @@ import numpy as np
 
 from plant.effects import look_alikes
 from plant.effects.user_file import MARK, loaded_effects
+from sil.campaign.campaign import campaign_toml
 from sil.diagnosis.causes import FALSE_ALARM_LEVEL, Cause
 from sil.diagnosis.consequence import consequence
 from sil.diagnosis.diagnosis import FALSE_ALARM_BASIS, Diagnosis
 from sil.diagnosis.figures import (
     equations_figure,
+    next_figure,
     phases_figure,
     strokes_figure,
     term_figure,
     worst,
 )
+from sil.diagnosis.next_experiment import next_campaign
 from sil.diagnosis.one_equation import Alone, alone
 from sil.diagnosis.residuals import Shown, show
 from sil.diagnosis.structure import FAULTS
@@ -54,6 +57,11 @@ PICTURES = {
         "into each chamber's mass balance. What goes wrong in one of them alone is in that equation. "
         "Orange: the given model without tolerances. The fixed rig's chambers begin vented here.",
     ),
+    "next": (
+        "The stroke that tells most",
+        "What the two predict of the first stroke to measure, and their difference over the noise; the "
+        "band is three standard deviations. Tolerances and scatter may follow a part of it.",
+    ),
     "term": (
         "What is missing",
         "What none of the named causes describes, as a function without a form: its value at the "
@@ -63,10 +71,21 @@ PICTURES = {
 """What each picture shows, and its caption."""
 
 
+def write_next(result: Diagnosis, folder: Path) -> str | None:
+    """Write next/campaign.toml, the strokes to measure next; return its path, None without any."""
+    if result.next_experiment is None:
+        return None
+    following = next_campaign(result.campaign, result.next_experiment)
+    path = folder / "next" / "campaign.toml"
+    path.parent.mkdir(exist_ok=True)
+    write_atomically(path, campaign_toml(following, following.strokes))
+    return str(path)
+
+
 def write_report(
-    result: Diagnosis, folder: Path, campaign: str, model: str, workers: int = 1
+    result: Diagnosis, folder: Path, arguments: str, model: str, workers: int = 1
 ) -> dict[str, Any]:
-    """Write report.html and its figures for a diagnosis of the campaign at `campaign`.
+    """Write report.html and its figures for a diagnosis; arguments: of the command that makes it again.
 
     An extended model that was claimed is in the folder already. Returns the page's numbers beyond
     those of `Diagnosis.as_json`.
@@ -84,6 +103,8 @@ def write_report(
         candidate = terms.get(f"{cause.id}:{cause.variant}")
         if candidate is not None:
             figures["term"] = term_figure(form_of(candidate), list(cause.parameters.values()))
+    if result.next_experiment is not None:
+        figures["next"] = next_figure(result.next_experiment)
     where = "held out" if result.held_out else "measured"
     images = spread_out(lambda name: save(figures[name], folder, name), list(figures), workers)
     pictures = {}
@@ -100,7 +121,7 @@ def write_report(
         verdict=kind,
         good=kind == "consistent",
         tiles=_tiles(result),
-        again=f"opc4 diagnose {campaign} --model {model}{files}",
+        again=f"opc4 diagnose {arguments}{files}",
     )
     page = render(
         "diagnosis.html",

@@ -173,7 +173,8 @@ def judge(
     model = fitter.model
     # offsets of gauges that no training stroke has: held-out ones determine them
     training = set(range(len(model.strokes))) - set(held_out)
-    trained = {channel.name for k in training for channel in model.strokes[k].channels}
+    used = [model.strokes[k] for k in training]
+    trained = {stroke.offset_of(channel) for stroke in used for channel in stroke.channels}
     names = enumerate(model.offsets, start=len(model.unit))
     free = {k for k, name in names if name not in trained}
 

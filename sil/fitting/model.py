@@ -101,10 +101,8 @@ class CampaignModel:
     def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
         self.strokes = list(strokes)
         self.spread = spread
-        channels = {c.name: c.kind for stroke in self.strokes for c in stroke.channels}
-        self.offsets = tuple(
-            sorted(channels, key=lambda name: (channels[name] != "position", name))
-        )
+        kinds = {stroke.offset_of(c): c.kind for stroke in self.strokes for c in stroke.channels}
+        self.offsets = tuple(sorted(kinds, key=lambda name: (kinds[name] != "position", name)))
         self.unit = tuple(spread.unit)
         self.scatter = tuple(spread.stroke)
         self.measured = [_standardised(stroke) for stroke in self.strokes]
@@ -167,7 +165,7 @@ class CampaignModel:
         begin = 0
         for channel in stroke.channels:
             n = len(channel.measured)
-            index = self.offsets.index(channel.name)
+            index = self.offsets.index(stroke.offset_of(channel))
             columns[begin : begin + n, index] = self.spread.offset[channel.kind] / channel.sd
             begin += n
         return columns

@@ -75,6 +75,11 @@ class StrokeObservation:
         """The stroke's stated conditions."""
         return self.entry.conditions
 
+    def offset_of(self, channel: Channel) -> str:
+        """Return the name of a channel's offset, which another campaign of the unit does not share."""
+        session = self.entry.session
+        return f"{channel.name} of {session}" if session else channel.name
+
     @property
     def size(self) -> int:
         """How many numbers are compared."""
