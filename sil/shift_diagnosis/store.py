@@ -205,9 +205,10 @@ class Store:
             return False
         _require_truck(path, truck, row[0])
         with self._errors():
-            self._connection.execute(
-                "update log set path = ? where digest = ?", (os.path.realpath(path), digest)
-            )
+            run, real = self._connection.execute, os.path.realpath(path)
+            was = "select path from log where digest = ?"
+            run(f"update odd set path = ? where path = ({was})", (real, digest))
+            run("update log set path = ? where digest = ?", (real, digest))
         return True
 
     def _log(self, column: str, value: str) -> tuple[str, int] | None:

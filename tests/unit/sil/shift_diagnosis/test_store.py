@@ -19,7 +19,8 @@ from can_dbc.errors import InputError, RunError
 from plant.parameters import load
 from sil.cli import main
 from sil.files.output_folder import locked_folder
-from sil.shift_diagnosis.store import STORE, Store
+from sil.shift_diagnosis.store import STORE, Store, Taken
+from sil.shift_diagnosis.track import Track
 from tests.bench.truck_logs import by_reference
 from tests.unit.sil.shift_diagnosis.test_watch import fleet, observations
 
@@ -122,6 +123,20 @@ def test_a_log_is_taken_once_by_whatever_path(
     logs, *rest = content(out)[1:]
     assert rest == list(before[2:])
     assert sorted(Path(row[0]).name for row in logs) == ["copy.csv", "moved.csv"]  # type: ignore[attr-defined]
+
+
+def test_odd_shifts_are_where_their_log_is_now(tmp_path: Path) -> None:
+    log, moved = tmp_path / "a.log", tmp_path / "b.log"
+    log.write_text("a drive")
+    with closing(Store(tmp_path / STORE, load("nominal"))) as store:
+        store.add_odd("truck", 3, 0.5, log, 99.0)
+        store.add_log("truck", log, 0, Taken(shifts=5))
+        store.put_truck("truck", Track.of(("play",)), None)
+        log.rename(moved)
+        assert not store.has_path("truck", moved)
+        assert store.has_content("truck", moved) and store.has_path("truck", moved)
+        (truck,) = store.trucks()
+    assert truck.odd == [(3, 0.5, str(moved), 99.0)]
 
 
 def test_what_cannot_be_taken_is_named_in_one_line(
