@@ -14,6 +14,7 @@ import numpy as np
 
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.errors import IntegrationError
+from plant.kernel.layout import FIXED, LENGTH
 from plant.parameters import ParameterSet
 from plant.systems.stroke import simulate
 from sil.campaign.campaign import CampaignStroke, Floats, Record, stroke_columns
@@ -24,6 +25,8 @@ PULSES_S = (0.02, 0.05)
 """How long a valve is commanded open instead: shorter and longer than it takes to close."""
 LOWER = 2.0 / 3.0
 """Share of the pressure above atmosphere that is tried too where all strokes had one supply."""
+TRAVEL = 0.9
+"""Share of the stroke that the stay must make with the given parameters."""
 HELD = {
     "fixed": ("1", "2"),
     "N-B": ("B", "N"),
@@ -128,17 +131,24 @@ def imagined(
 ) -> list[StrokeObservation]:
     """Return strokes as they would be observed, with the channels and the noise of measured ones.
 
-    What the parameters cannot simulate is left out.
+    What the parameters cannot simulate is left out, and a stroke that does not arrive.
     """
     noise = {c.name: c.noise for stroke in strokes for c in stroke.channels}
     internal = any(stroke.internal is not None for stroke in strokes)
     end_s = max(float(stroke.time_s[-1]) for stroke in strokes)
+    stroke_m = {
+        FIXED: parameters.value("fixed.stroke"),
+        LENGTH: parameters.value("length.stroke"),
+    }
     found = []
     for entry in entries:
         last_s = max((when for when, _valve, _duty in entry.conditions.commands), default=0.0)
         time_s = np.arange(round(max(end_s, last_s + TAIL_S) * rate_hz) + 1) / rate_hz
         with suppress(IntegrationError):
-            columns = stroke_columns(simulate(parameters, entry.conditions, time_s))
+            stroke = simulate(parameters, entry.conditions, time_s)
+            if np.ptp(stroke.position_m) < TRAVEL * stroke_m[entry.conditions.system]:
+                continue
+            columns = stroke_columns(stroke)
             record = Record(Path(entry.file), _recorded(columns, set(noise), internal))
             found.append(observe(entry, record, parameters, noise=noise))
     return found

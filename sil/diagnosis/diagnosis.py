@@ -116,8 +116,8 @@ def diagnose(
     ------
     InputError : a campaign that cannot be read or compared, named in one line
     """
-    progress(0.0, 100.0)
     strokes, findings = observed(campaign, parameters)
+    progress(0.0, 100.0)  # not before a bad campaign is refused: that is one line
     model = CampaignModel(strokes, Spread.of(parameters))
     structure = structure_of(strokes)
     training, held_out = _assigned(model)
@@ -156,8 +156,10 @@ def diagnose(
     if unable:
         verdict = replace(verdict, kind="cannot_tell")
         findings.insert(0, Finding(campaign.name, "all", unable))
-    missed = unnoticed(search, noticed) if plan or unable else []
-    following = next_experiment(model, parameters, campaign, verdict, judged, missed, confirm=plan)
+    causes_asked = _one_form_each(search.candidates) if plan or unable else []
+    following = next_experiment(
+        model, parameters, campaign, verdict, judged, causes_asked, confirm=plan, workers=workers
+    )
     return Diagnosis(
         campaign,
         verdict,
@@ -243,13 +245,9 @@ def smallest_noticed(search: Search, strokes: int) -> Noticed:
     return found
 
 
-def unnoticed(search: Search, noticed: Noticed) -> list[Candidate]:
-    """Return the causes that would not have been claimed at their typical size, each in one form."""
-    found: dict[str, Candidate] = {}
-    for item in search.candidates:
-        if item.id not in noticed or float(noticed[item.id]["size"]) >= 1.0:
-            found.setdefault(item.id, item)
-    return list(found.values())
+def _one_form_each(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the first variant of each cause."""
+    return list({item.id: item for item in reversed(candidates)}.values())[::-1]
 
 
 def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -7,14 +7,15 @@ the log evidence of a hypothesis that is true over another one,
 
     d = 1/2 (r' W r - g' M^-1 g),  W = (1 + B B')^-1,  g = J' W r,  M = P + J' W J,
 
-r being the difference of the two predictions, B the derivatives by the stroke's own scatter, J those
-of the false one by all that it may move to follow (tolerances, offsets, its own parameters), and P
-what the strokes measured so far say of those.  Sums over strokes of r'Wr, g and J'WJ give d of them
+r being the difference of the two predictions once the false one's own scatter of this stroke is
+fitted (its prior counts in r'r), B the derivatives by that scatter, J those by all else that it may
+move to follow (tolerances, offsets, its own parameters), and P what the strokes measured so far say
+of those.  Sums over strokes of r'Wr, g and J'WJ give d of them
 together.  From d follows the expected information on a question, by the estimate for mixtures of
 Kolchinsky and Tracey (Entropy 19, 2017, 361), and strokes are added one by one where it grows most.
 The idea to place strokes where rivals differ is Box and Hill's (Technometrics 9, 1967, 57-71).
-Assumed: predictions are linear within what is still uncertain, and a true hypothesis has its fitted
-parameters.
+Assumed: predictions are linear within what is still uncertain of a unit, and a true hypothesis has
+its fitted parameters.
 Checked by: tests/unit/sil/diagnosis/test_next_experiment.py
 """
 
@@ -22,7 +23,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any
@@ -34,8 +34,10 @@ from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats
 from sil.diagnosis.designs import described, designs, imagined
 from sil.diagnosis.verdict import CLAIM, CLAIM_PER_STROKE, CONTEST, Judged, Verdict
-from sil.fitting.fit import FitResult
-from sil.fitting.hypotheses import Candidate
+from sil.diagnosis.workers import spread_out
+from sil.files.quantity import counted
+from sil.fitting.fit import FitResult, Fitter
+from sil.fitting.hypotheses import Candidate, scaled_of
 from sil.fitting.model import CampaignModel
 from sil.fitting.observations import StrokeObservation
 
@@ -45,6 +47,10 @@ SURE = 3.0
 """Log evidence that would do if the equations were exact: ENOUGH counts as this much."""
 MOST = 12
 """Strokes that are proposed at most."""
+SIZES = (1.0, 0.25)
+"""Sizes of causes that would have to be noticed, in typical ones: the second if all are at the first."""
+SCATTER = 6
+"""Iterations of the fit of a stroke's own scatter."""
 MOST_RIVALS = 4
 """Hypotheses of a question at most."""
 LEAST = 0.01
@@ -132,7 +138,7 @@ class NextExperiment:
         count = len(self.strokes)
         one, two = self.weakest
         least, told = self.together[one, two], sum(d >= self.enough for d in self.together.values())
-        text = f"{self.purpose}: {count} {'stroke' if count == 1 else 'strokes'} "
+        text = f"{self.purpose}: {counted(count, 'stroke')} "
         if self.separated:
             return (
                 text + f"{'gives' if count == 1 else 'give'} at least {least:.3g} in log evidence"
@@ -198,14 +204,15 @@ def next_experiment(
     campaign: Campaign,
     verdict: Verdict[Judged],
     judged: Sequence[Judged],
-    unnoticed: Sequence[Candidate] = (),
+    causes: Sequence[Candidate] = (),
     *,
     confirm: bool = False,
+    workers: int = 1,
 ) -> NextExperiment | None:
     """Return the strokes to measure next; None if nothing is open, or no stroke of the rig tells more.
 
-    unnoticed: causes that these strokes would not have shown at their typical size; confirm: ask
-    also whether a cause without rivals is the next best explanation after all.
+    causes: if nothing is claimed, those of which some may be hidden; confirm: ask also whether a
+    cause without rivals is the next best explanation after all.
     """
     hypotheses: list[Hypothesis]
     if verdict.rivals or (verdict.claimed and confirm):
@@ -213,14 +220,16 @@ def next_experiment(
         questions = [question] if question else []
         purpose = "to separate " if verdict.rivals else "to check "
         purpose += " from ".join(item.name for item in hypotheses)
-    elif not verdict.claimed and unnoticed:
+    elif not verdict.claimed and causes:
         healthy = Hypothesis.of(verdict.healthy.training)
-        hypotheses = [healthy, *(_with(healthy, candidate) for candidate in unnoticed)]
         enough = max(CLAIM, CLAIM_PER_STROKE * (len(model.strokes) + MOST))
-        halves = np.array([0.5, 0.5])
-        questions = [Question((k, 0), halves, ((k, 0),), enough) for k in range(1, len(hypotheses))]
-        count = len(unnoticed)
-        purpose = f"to show {count} {'cause' if count == 1 else 'causes'} of typical size"
+        hidden: list[Hypothesis] = []
+        for size in SIZES:
+            hidden = hidden or _hidden(model, healthy, causes, size, enough, workers)
+        hypotheses = [healthy, *hidden]
+        questions = [_whether(k, enough) for k in range(1, len(hypotheses))]
+        count = len(hidden)
+        purpose = f"to show {counted(count, 'cause')} that would not have been noticed"
     else:
         return None
     if not questions:
@@ -231,7 +240,7 @@ def next_experiment(
     strokes = imagined(entries, model.strokes, parameters, rate_hz)
     wider = CampaignModel([*model.strokes, *strokes], model.spread)
     moved = [_moved(wider, model, item) for item in hypotheses]
-    picked, alone, together = _chosen(wider, len(model.strokes), moved, questions)
+    picked, alone, together = _chosen(wider, len(model.strokes), moved, questions, workers)
     if not picked:
         return None
 
@@ -263,13 +272,14 @@ def _between(
     asked = {name for group in verdict.rivals for name in group}
     found = {frozenset(leader.ids): leader}
     for item in sorted(judged, key=lambda item: item.score):
-        if not item.ids or len(found) == MOST_RIVALS:
+        if not item.ids or set(item.ids) >= set(leader.ids) or len(found) == MOST_RIVALS:
             continue
         if verdict.rivals:
-            possible = item.probability >= CONTEST * leader.probability and asked & set(item.ids)
+            likely = item.probability >= CONTEST * leader.probability
+            is_open = likely and not asked.isdisjoint(item.ids)
         else:  # the next best one, whatever its probability
-            possible = len(found) < 2
-        if possible:
+            is_open = len(found) < 2
+        if is_open:
             found.setdefault(frozenset(item.ids), item)
     hypotheses = [Hypothesis.of(item.training) for item in found.values()]
     if len(found) < 2:
@@ -279,13 +289,50 @@ def _between(
     return hypotheses, Question(numbers, weights / weights.sum(), tuple(permutations(numbers, 2)))
 
 
-def _with(healthy: Hypothesis, candidate: Candidate) -> Hypothesis:
-    """Return the healthy unit with a cause of typical size."""
-    own = np.zeros(len(candidate.parameters))
-    own[0] = candidate.parameters[0].sign or 1.0
-    return Hypothesis(
-        candidate.name, (candidate,), np.concatenate([healthy.shared, own]), healthy.normal
-    )
+def _whether(cause: int, enough: float) -> Question:
+    """Return the question whether a cause acts in a unit that is healthy otherwise: hypothesis 0."""
+    return Question((cause, 0), np.array([0.5, 0.5]), ((cause, 0),), enough)
+
+
+def _hidden(
+    model: CampaignModel,
+    healthy: Hypothesis,
+    candidates: Sequence[Candidate],
+    size: float,
+    enough: float,
+    workers: int,
+) -> list[Hypothesis]:
+    """Return the healthy unit with each cause that the strokes measured would not show at that size."""
+    fitter = Fitter(CampaignModel(model.strokes, model.spread))
+    found = [_with(healthy, candidate, size) for candidate in candidates]
+    prior = np.eye(len(healthy.shared))
+
+    def shown(item: Hypothesis) -> float:
+        told = Told({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
+        for k in range(len(model.strokes)):
+            more = _told(fitter, k, [healthy, item], [_whether(1, enough)])
+            told = told if more is None else told.plus(more)
+        return told.distances()[1, 0]
+
+    distances = spread_out(shown, found, workers)
+    return [item for item, d in zip(found, distances, strict=True) if d < enough]
+
+
+def _with(healthy: Hypothesis, candidate: Candidate, size: float) -> Hypothesis:
+    """Return the healthy unit with a cause, at the start of its fits that is next to `size`, in typical ones."""
+
+    def scaled(start: tuple[float, ...]) -> Floats:
+        pairs = zip(candidate.parameters, start, strict=True)
+        return np.array([scaled_of(parameter, value) for parameter, value in pairs])
+
+    def ratio(start: tuple[float, ...]) -> float:
+        return float(abs(np.log(max(abs(scaled(start)[0]), 1e-9) / size)))
+
+    start = min(candidate.starts, key=ratio)
+    main = candidate.parameters[0]
+    name = f"{candidate.name} ({main.name} {start[0]:.3g} {main.unit})".replace(" -)", ")")
+    shared = np.concatenate([healthy.shared, scaled(start)])
+    return Hypothesis(name, (candidate,), shared, healthy.normal)
 
 
 Distances = dict[tuple[int, int], float]
@@ -295,26 +342,26 @@ Distances = dict[tuple[int, int], float]
 # --- what a stroke tells ------------------------------------------------------------------------
 @dataclass
 class Told:
-    """Sums over strokes: r'Wr and J'Wr by pair (true, false), J'WJ by hypothesis."""
+    """Sums over strokes by pair (true, false): r'Wr, J'Wr, J'WJ."""
 
     squares: dict[tuple[int, int], float]
     gradients: dict[tuple[int, int], Floats]
-    normals: dict[int, Floats]
+    normals: dict[tuple[int, int], Floats]
 
     def plus(self, other: Told) -> Told:
         """Return the sums over the strokes of both."""
         return Told(
             {pair: value + other.squares[pair] for pair, value in self.squares.items()},
             {pair: value + other.gradients[pair] for pair, value in self.gradients.items()},
-            {j: value + other.normals[j] for j, value in self.normals.items()},
+            {pair: value + other.normals[pair] for pair, value in self.normals.items()},
         )
 
     def distances(self) -> Distances:
         """Return the expected log evidence of each pair."""
         return {
-            (i, j): 0.5 * float(square - g @ np.linalg.solve(self.normals[j], g))
-            for (i, j), square in self.squares.items()
-            for g in (self.gradients[i, j],)
+            pair: 0.5 * float(square - g @ np.linalg.solve(self.normals[pair], g))
+            for pair, square in self.squares.items()
+            for g in (self.gradients[pair],)
         }
 
 
@@ -335,28 +382,32 @@ def information(question: Question, distances: Distances) -> float:
 
 
 def _told(
-    model: CampaignModel, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
-) -> Told:
-    """Return what stroke k would tell. Raises IntegrationError if a hypothesis cannot simulate it."""
-    pairs = dict.fromkeys(pair for question in questions for pair in question.pairs)
-    predicted = {i: _predicted(model, k, hypotheses[i]) for pair in pairs for i in pair}
+    fitter: Fitter, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
+) -> Told | None:
+    """Return what stroke k would tell; None if a hypothesis cannot simulate it.
+
+    The stroke's own scatter follows by a fit, since edges that move in time are not linear.
+    """
+    model = fitter.model
     out = Told({}, {}, {})
-    for j in dict.fromkeys(two for _one, two in pairs):
-        item = hypotheses[j]
-        block = model.linearise(k, item.shared, np.zeros(len(model.scatter)), item.candidates)
-        b, by = block.scatter, block.shared
-        inner = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
-
-        def weighted(x: Floats, b: Floats = b, inner: Floats = inner) -> Floats:
-            return x - b @ (inner @ (b.T @ x))
-
-        w_by = weighted(by)
-        out.normals[j] = by.T @ w_by
-        for i, false in pairs:
-            if false == j:
-                r = predicted[i] - predicted[j]
-                out.squares[i, j] = float(r @ weighted(r))
-                out.gradients[i, j] = w_by.T @ r
+    try:
+        for i, j in dict.fromkeys(pair for question in questions for pair in question.pairs):
+            false = hypotheses[j]
+            model.measure(k, _predicted(model, k, hypotheses[i]))
+            everything = range(len(false.shared))
+            fit = fitter.fit(
+                false.candidates, start=false.shared, use=[k], iterations=SCATTER, freeze=everything
+            )
+            spread = fit.stroke[k]
+            block = model.linearise(k, false.shared, spread, false.candidates)
+            by, b, r = block.shared, block.scatter, block.residual
+            inner = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
+            pull, cross = b.T @ r - spread, b.T @ by
+            out.squares[i, j] = float(r @ r + spread @ spread - pull @ inner @ pull)
+            out.gradients[i, j] = by.T @ r - cross.T @ inner @ pull
+            out.normals[i, j] = by.T @ by - cross.T @ inner @ cross
+    except IntegrationError:
+        return None
     return out
 
 
@@ -365,7 +416,7 @@ def _predicted(model: CampaignModel, k: int, item: Hypothesis) -> Floats:
     setup, states = model.here(k, item.shared, np.zeros(len(model.scatter)), item.candidates)
     first = len(model.unit)
     offsets = item.shared[first : first + len(model.offsets)]
-    return model.numbers_of(k, setup, states, rounded=False) + model.offset_columns[k] @ offsets
+    return model.numbers_of(k, setup, states, rounded=True) + model.offset_columns[k] @ offsets
 
 
 def _moved(model: CampaignModel, old: CampaignModel, item: Hypothesis) -> Hypothesis:
@@ -387,22 +438,23 @@ def _chosen(
     measured: int,
     hypotheses: Sequence[Hypothesis],
     questions: Sequence[Question],
+    workers: int,
 ) -> tuple[list[int], dict[int, Distances], Distances]:
     """Return the strokes chosen one by one, alike ones together, what each tells alone, and together.
 
     The first `measured` strokes of the model cannot be chosen.
     """
-    choices: dict[int, Told] = {}
-    for k in range(measured, len(model.strokes)):
-        with suppress(IntegrationError):
-            choices[k] = _told(model, k, hypotheses, questions)
+    fitter = Fitter(model)
+    numbers = range(measured, len(model.strokes))
+    told_by = spread_out(lambda k: _told(fitter, k, hypotheses, questions), numbers, workers)
+    choices = {k: told for k, told in zip(numbers, told_by, strict=True) if told is not None}
     if not choices:
         return [], {}, {}
     some = next(iter(choices.values()))
     nothing = sums = Told(
         dict.fromkeys(some.squares, 0.0),
         {pair: np.zeros(len(g)) for pair, g in some.gradients.items()},
-        {j: hypotheses[j].normal for j in some.normals},
+        {(i, j): hypotheses[j].normal for i, j in some.normals},
     )
 
     def value(told: Told) -> float:

@@ -210,11 +210,13 @@ class Search:
     def singles(self) -> None:
         """Fit every cause alone: all of them if the healthy fit is far off, else those that score.
 
-        Linear scores say nothing either of what wide scatter imitates by moving edges in time.
+        Linear scores say nothing either of what wide scatter imitates by moving edges in time; and a
+        tolerance at its bound is in the way of the cause that does the same: then that begins anew.
         """
         healthy = self.healthy
         chosen: list[Candidate] = self.candidates
-        if misfit(self.model, healthy).per_number < NEAR and not strained(healthy):
+        is_strained = strained(healthy)
+        if misfit(self.model, healthy).per_number < NEAR and not is_strained:
             self.known[healthy.name] = healthy.blocks
             self.scores = screen(self.fitter, healthy, self.candidates)
             chosen = [s.candidate for s in self.scores if s.gain > WORTH][: 2 * MOST_SINGLES]
@@ -223,7 +225,7 @@ class Search:
         for item in chosen:
             starts = tuple((start,) for start in item.starts)
             tasks.append(Task((item,), starts, begin, FIRST_ITERATIONS, healthy.name))
-            if item.effect.rugged:
+            if item.effect.rugged or (item.effect.tolerance and is_strained):
                 tasks += [Task((item,), (start,), None, FIRST_ITERATIONS) for start in starts]
         self.first = self.run_tasks(tasks)
         self.polish(_promising(self.first, MOST_SINGLES))

@@ -160,6 +160,11 @@ class CampaignModel:
             np.divide(reported, stroke.internal.sd_m, out=out[begin:])
         return out
 
+    def measure(self, k: int, numbers: Floats) -> None:
+        """Take other compared numbers [n], standardised, as those measured of stroke k."""
+        self.measured[k] = numbers
+        self._residual.pop(k, None)
+
     def _offsets_of(self, stroke: StrokeObservation) -> Floats:
         columns = np.zeros((stroke.total, len(self.offsets)))
         begin = 0

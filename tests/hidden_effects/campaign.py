@@ -6,7 +6,9 @@ Strokes, tolerances, scatter, noise and quantisation as in a real campaign; all 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,21 +75,107 @@ def hide(names: tuple[str, ...], level: str, seed: int) -> Hidden:
 def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> Path:
     """Write a campaign of `count` strokes with what is hidden; the answer is not in the folder."""
     rng = np.random.default_rng([seed, 2])
-    v = parts.nominal()
-    rep = {key.split(".")[1]: value for key, value in v.items() if key.startswith("repeat")}
-    unit = {
-        "friction": rng.normal(0.0, rep["unit_friction_sd"]),
-        "rise_s": rng.normal(0.0, rep["unit_valve_delay_sd"]),
-        "fall_s": 3.0 * rng.normal(0.0, rep["unit_valve_delay_sd"]),
-        "inlet": rng.normal(0.0, rep["unit_flow_sd"]),
-        "outlet": rng.normal(0.0, rep["unit_flow_sd"]),
-        "outer_volume": rng.normal(0.0, rep["unit_volume_sd"]),
-        "inner_volume": rng.normal(0.0, rep["unit_volume_sd"]),
-    }
-    offsets = {name: rng.normal(0.0, rep["unit_gauge_offset_sd"]) for name in "12BNF"}
-    offsets["oil2"] = 5.0 * rng.normal(0.0, rep["unit_gauge_offset_sd"])
-    offset_m = rng.normal(0.0, rep["unit_pot_offset_sd"])
+    unit = Unit.drawn(rng)
     order = rng.permutation(count)
+    plan = (_planned(PLANS[row % len(PLANS)], rng) for row in order)
+    return _measured(folder, hidden, unit, plan, count, rng)
+
+
+def measure_next(folder: Path, hidden: Hidden, seed: int) -> Path:
+    """Measure the strokes of a campaign.toml that has none, on the unit of that seed, another day.
+
+    The gauges' zeros are new; the answer is not in the folder.
+    """
+    stated = tomllib.loads((folder / "campaign.toml").read_text(encoding="utf-8"))
+    plan = [
+        (
+            Case(
+                stroke["kind"],
+                stroke["supply_pressure_pa"],
+                tuple((when, valve, duty) for when, valve, duty in stroke["commands"]),
+                tuple(stroke["charged_before"]),
+                "compressible" if stroke["load"] == "damper" else None,
+                stroke["spring_n_per_m"],
+                stroke["start_offset_m"],
+            ),
+            stroke["rest_s"],
+        )
+        for stroke in stated["stroke"]
+    ]
+    unit = Unit.drawn(np.random.default_rng([seed, 2]))
+    rng = np.random.default_rng([seed, 5])
+    zeros = Unit.drawn(rng)
+    unit = replace(unit, offsets_pa=zeros.offsets_pa, offset_m=zeros.offset_m)
+    return _measured(folder, hidden, unit, plan, len(plan), rng)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit's tolerances, as changes of the nominal one, and the zeros of its instruments."""
+
+    tolerances: Change
+    offsets_pa: dict[str, float]
+    offset_m: float
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Unit:
+        """Draw a unit."""
+        rep = _repeatability()
+        tolerances = {
+            "friction": rng.normal(0.0, rep["unit_friction_sd"]),
+            "rise_s": rng.normal(0.0, rep["unit_valve_delay_sd"]),
+            "fall_s": 3.0 * rng.normal(0.0, rep["unit_valve_delay_sd"]),
+            "inlet": rng.normal(0.0, rep["unit_flow_sd"]),
+            "outlet": rng.normal(0.0, rep["unit_flow_sd"]),
+            "outer_volume": rng.normal(0.0, rep["unit_volume_sd"]),
+            "inner_volume": rng.normal(0.0, rep["unit_volume_sd"]),
+        }
+        offsets = {name: rng.normal(0.0, rep["unit_gauge_offset_sd"]) for name in "12BNF"}
+        offsets["oil2"] = 5.0 * rng.normal(0.0, rep["unit_gauge_offset_sd"])
+        return cls(tolerances, offsets, rng.normal(0.0, rep["unit_pot_offset_sd"]))
+
+
+def _repeatability() -> dict[str, float]:
+    found = parts.nominal().items()
+    return {key.split(".")[1]: value for key, value in found if key.startswith("repeat")}
+
+
+def _planned(
+    row: tuple[str, str, bool, tuple[float, ...]], rng: np.random.Generator
+) -> tuple[Case, float]:
+    """Return a stroke's conditions and the rest before it, by a row of PLANS."""
+    kind, load, charged, supplies = row
+    supply = float(rng.choice(supplies))
+    rest_s = float(rng.choice((2.0, 30.0, 600.0)))
+    drive = DRIVING[kind]
+    commands = [(0.01, drive, 0.98)]
+    held = {"N-B": "N", "B-N": "B"}[kind] if charged else ""
+    if held:
+        commands.append((0.01, held, 0.0))
+    commands.append((0.2, drive, 0.0))
+    spring = load == "spring"
+    case = Case(
+        kind,
+        supply,
+        tuple(commands),
+        (held,) if held else (),
+        "compressible" if load == "damper" else None,
+        SPRING_N_M if spring else 0.0,
+        SPRING_START_M if spring else 0.0,
+    )
+    return case, rest_s
+
+
+def _measured(
+    folder: Path,
+    hidden: Hidden,
+    unit: Unit,
+    plan: Iterable[tuple[Case, float]],
+    count: int,
+    rng: np.random.Generator,
+) -> Path:
+    """Write a campaign of `count` strokes, one by one as the plan yields them."""
+    v, rep, own = parts.nominal(), _repeatability(), unit.tolerances
     folder.mkdir(parents=True, exist_ok=True)
     lines = [
         f'name = "{folder.name}"',
@@ -96,56 +184,38 @@ def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> 
         "temperature_k = 293.15",
         f"sample_rate_hz = {RATE_HZ}",
     ]
-    for number, row in enumerate(order, start=1):
-        kind, load, charged, supplies = PLANS[row % len(PLANS)]
-        supply = float(rng.choice(supplies))
-        rest_s = float(rng.choice((2.0, 30.0, 600.0)))
-        drive = DRIVING[kind]
-        commands = [(0.01, drive, 0.98)]
-        held = {"N-B": "N", "B-N": "B"}[kind] if charged else ""
-        if held:
-            commands.append((0.01, held, 0.0))
-        commands.append((0.2, drive, 0.0))
-        spring = load == "spring"
-        case = Case(
-            kind,
-            supply,
-            tuple(commands),
-            (held,) if held else (),
-            "compressible" if load == "damper" else None,
-            SPRING_N_M if spring else 0.0,
-            SPRING_START_M if spring else 0.0,
-        )
+    for number, (case, rest_s) in enumerate(plan, start=1):
+        drive = DRIVING[case.kind]
         delay = rng.normal(0.0, rep["valve_delay_sd"], 2)
         change = dict(hidden.change)
-        change["friction"] = (1.0 + unit["friction"]) * (1.0 + rng.normal(0.0, rep["friction_sd"]))
-        change["open_later_s"] = change.get("open_later_s", 0.0) + unit["rise_s"] + delay[0]
-        change["close_later_s"] = change.get("close_later_s", 0.0) + unit["fall_s"] + delay[1]
+        change["friction"] = (1.0 + own["friction"]) * (1.0 + rng.normal(0.0, rep["friction_sd"]))
+        change["open_later_s"] = change.get("open_later_s", 0.0) + own["rise_s"] + delay[0]
+        change["close_later_s"] = change.get("close_later_s", 0.0) + own["fall_s"] + delay[1]
         scatter = rng.normal(0.0, rep["supply_sd"])
         change["supply"] = (1.0 + change.get("supply", 0.0)) * (1.0 + scatter) - 1.0
-        progress = (number - 1) / (count - 1)
+        progress = (number - 1) / max(count - 1, 1)
         change["friction"] *= 1.0 + change.get("warming", 0.0) * progress
         change["supply"] -= change.get("emptying", 0.0) * progress
         change["open_later_s"] += change.get("sticky_s", 0.0) * np.log10(rest_s)
         if drive == LATE[int(change.get("late_valve", 0.0))]:
             change["open_later_s"] += change.get("late_s", 0.0)
         for name in ("inlet", "outlet"):
-            change[name] = change.get(name, 1.0) * (1.0 + unit[name])
+            change[name] = change.get(name, 1.0) * (1.0 + own[name])
         for name in ("outer_volume", "inner_volume"):
-            change[name] = unit[name]
+            change[name] = own[name]
         file = f"stroke_{number:03d}.csv"
-        columns = record(case, change, rest_s, v, offsets, offset_m, rng)
+        columns = record(case, change, rest_s, v, unit.offsets_pa, unit.offset_m, rng)
         write_csv(folder / file, columns)
         table = {
             "file": file,
-            "label": kind,
-            "kind": kind,
-            "supply_pressure_pa": supply,
-            "load": load,
+            "label": case.kind,
+            "kind": case.kind,
+            "supply_pressure_pa": case.supply_pa,
+            "load": "damper" if case.damper else "spring" if case.spring_n_per_m else "none",
             "spring_n_per_m": case.spring_n_per_m,
             "start_offset_m": case.start_m,
             "rest_s": rest_s,
-            "commands": commands,
+            "commands": case.commands,
             "charged_before": case.charged,
         }
         lines += ["", "[[stroke]]", *(f"{k} = {json.dumps(v)}" for k, v in table.items())]
