@@ -21,7 +21,7 @@ import numpy as np
 
 from plant.parameters import load
 from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml, joined, load_campaign
-from sil.diagnosis.designs import designs
+from sil.diagnosis.designs import designs, imagined
 from sil.diagnosis.diagnosis import Diagnosis, diagnose
 from sil.diagnosis.next_experiment import next_campaign
 from tests.hidden_effects import effects
@@ -61,7 +61,9 @@ def planned(way: str, found: Diagnosis, rng: np.random.Generator) -> tuple[Campa
         return proposed
     choice: Sequence[CampaignStroke] = found.campaign.strokes
     if way == "random":
-        choice = designs(found.model.strokes, "next")
+        entries, rate_hz = designs(found.model.strokes, "next"), found.campaign.sample_rate_hz
+        possible = imagined(entries, found.model.strokes, load(), rate_hz)
+        choice = [stroke.entry for stroke in possible]
     picked = rng.choice(len(choice), len(proposed), replace=len(choice) < len(proposed))
     return tuple(
         replace(choice[k], file=f"stroke_{number:03d}.csv")

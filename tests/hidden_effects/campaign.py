@@ -81,7 +81,7 @@ def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> 
     return _measured(folder, hidden, unit, plan, count, rng)
 
 
-def measure_next(folder: Path, hidden: Hidden, seed: int) -> Path:
+def measure_next(folder: Path, hidden: Hidden, seed: int, day: int = 5) -> Path:
     """Measure the strokes of a campaign.toml that has none, on the unit of that seed, another day.
 
     The gauges' zeros are new; the answer is not in the folder.
@@ -103,7 +103,7 @@ def measure_next(folder: Path, hidden: Hidden, seed: int) -> Path:
         for stroke in stated["stroke"]
     ]
     unit = Unit.drawn(np.random.default_rng([seed, 2]))
-    rng = np.random.default_rng([seed, 5])
+    rng = np.random.default_rng([seed, day])
     zeros = Unit.drawn(rng)
     unit = replace(unit, offsets_pa=zeros.offsets_pa, offset_m=zeros.offset_m)
     return _measured(folder, hidden, unit, plan, len(plan), rng)

@@ -94,9 +94,7 @@ def test_a_draft_is_diagnosed(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert found["body"]["mass_kg"]["value"] == pytest.approx(20.0, rel=0.02)
 
 
-def test_files_that_differ_and_several_campaigns_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_that_differ_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in "ab":
         np.savetxt(
             tmp_path / f"{name}.csv",
@@ -108,8 +106,6 @@ def test_files_that_differ_and_several_campaigns_are_refused(
     files = [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]
     assert main(["diagnose", "--new", str(tmp_path / "c"), *files]) == 2
     assert "other columns than" in capsys.readouterr().err
-    assert main(["diagnose", str(tmp_path), str(tmp_path)]) == 2
-    assert "several campaigns" in capsys.readouterr().err
 
 
 def test_a_stored_unit_that_fits_nothing_is_not_guessed_by_its_name() -> None:
