@@ -204,22 +204,31 @@ def whatif(
     return Sweep(table.numbers, table.texts, summary(loaded, table))
 
 
-def diagnose(campaign: Where, *, model: Where = "nominal", workers: int = 2) -> Diagnosis:
+def diagnose(
+    campaign: Where | Sequence[Where],
+    *,
+    model: Where = "nominal",
+    workers: int = 2,
+    plan: bool = False,
+) -> Diagnosis:
     """Diagnose a campaign, as `opc4 diagnose` does.
 
     Parameters
     ----------
     campaign
-        Campaign folder.
+        Campaign folder, or folders of one unit.
     model
         Parameter set or model file of the plant.
     workers
         Number of processes.
+    plan
+        Say what to measure next even if nothing is left to separate, as `--next` does.
 
     Returns
     -------
     Diagnosis
-        The verdict with its causes and the extended model.
+        The verdict with its causes and the extended model; `next_experiment` holds the strokes to
+        measure next.
 
     Raises
     ------
@@ -227,10 +236,12 @@ def diagnose(campaign: Where, *, model: Where = "nominal", workers: int = 2) -> 
         If the campaign or the model is not valid.
     """
     from plant.parameters import load
-    from sil.campaign.campaign import load_campaign
+    from sil.campaign.campaign import joined, load_campaign
     from sil.diagnosis.diagnosis import diagnose as diagnosed
 
-    return diagnosed(load_campaign(campaign), load(str(model)), workers=workers)
+    folders = [campaign] if isinstance(campaign, str | Path) else campaign
+    together = joined([load_campaign(folder) for folder in folders])
+    return diagnosed(together, load(str(model)), workers=workers, plan=plan)
 
 
 def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None) -> ReplayResult:

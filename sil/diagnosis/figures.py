@@ -168,7 +168,7 @@ def next_figure(experiment: NextExperiment) -> Figure:
         apart = parts[0][n][1] - parts[1][n][1]
         band = Span(-inf, inf, "grid", "", -3.0, 3.0)
         series = [Series("difference", x, apart, "measured", width=0.8)]
-        panels.append(Panel("difference / sd", "", series, spans=[band], height=70, legend=False))
+        panels.append(Panel("apart", "sd", series, spans=[band], height=70, legend=False))
     title = experiment.strokes[0].entry.label
     return Figure([Stack("time, ms", panels, title, width=12.0)])
 

@@ -219,7 +219,8 @@ def next_experiment(
         hypotheses, question = _between(verdict, judged)
         questions = [question] if question else []
         purpose = "to separate " if verdict.rivals else "to check "
-        purpose += " from ".join(item.name for item in hypotheses)
+        first, *others = (item.name for item in hypotheses)
+        purpose += f"{first} from {' and '.join(others)}"
     elif not verdict.claimed and causes:
         healthy = Hypothesis.of(verdict.healthy.training)
         enough = max(CLAIM, CLAIM_PER_STROKE * (len(model.strokes) + MOST))
@@ -270,7 +271,7 @@ def _between(
     """Return the leading explanations, and the question which of them is true."""
     leader = verdict.leader
     asked = {name for group in verdict.rivals for name in group}
-    found = {frozenset(leader.ids): leader}
+    found = {leader.name: leader}
     for item in sorted(judged, key=lambda item: item.score):
         if not item.ids or set(item.ids) >= set(leader.ids) or len(found) == MOST_RIVALS:
             continue
@@ -280,13 +281,16 @@ def _between(
         else:  # the next best one, whatever its probability
             is_open = len(found) < 2
         if is_open:
-            found.setdefault(frozenset(item.ids), item)
+            found.setdefault(item.name, item)
     hypotheses = [Hypothesis.of(item.training) for item in found.values()]
     if len(found) < 2:
         return hypotheses, None
     weights = np.array([item.probability if verdict.rivals else 1.0 for item in found.values()])
     numbers = tuple(range(len(found)))
-    return hypotheses, Question(numbers, weights / weights.sum(), tuple(permutations(numbers, 2)))
+    causes = [set(item.ids) for item in found.values()]
+    # forms of one cause need not be told apart
+    pairs = tuple((i, j) for i, j in permutations(numbers, 2) if causes[i] != causes[j])
+    return hypotheses, Question(numbers, weights / weights.sum(), pairs)
 
 
 def _whether(cause: int, enough: float) -> Question:
