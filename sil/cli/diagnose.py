@@ -142,6 +142,7 @@ def new_campaign(arguments: argparse.Namespace) -> int:
         ("dbc", None),
         ("model", "nominal"),
         ("effects", []),
+        ("next", False),
     ):
         if getattr(arguments, option) != unset:
             raise InputError(f"--{option}: not together with --new, which only drafts a campaign")

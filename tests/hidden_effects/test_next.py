@@ -86,11 +86,12 @@ def test_next_is_refused_where_it_does_not_apply(tmp_path, capsys) -> None:
     for arguments, expected in (
         ([str(log), "--next"], "--next: not with CAN logs; expected a campaign folder"),
         ([str(force), "--next"], '--next: not together with rig = "force"; expected none'),
+        ([str(folder), "--next", "--new", str(tmp_path / "new")], "--next: not together with --new"),
         ([str(folder), str(force)], 'axis: rig = "force" among other campaigns'),
         ([str(folder), str(folder)], "the same campaign twice; expected each once"),
         ([str(folder), str(log)], "truck.log: no campaign.toml; expected a campaign folder"),
     ):
-        out = ["--out", str(tmp_path / "out")]
+        out = [] if "--new" in arguments else ["--out", str(tmp_path / "out")]
         assert main(["diagnose", *arguments, *out]) == 2
         said = capsys.readouterr().err
         assert expected in said and said.count("\n") == 1
