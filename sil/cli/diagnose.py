@@ -234,7 +234,9 @@ def _print_next(found: dict[str, Any]) -> None:
     """Print the strokes to measure next, alike ones once."""
     following = found["next_experiment"]
     if following is None:
-        print("  next: nothing is open that a stroke of this rig would tell")
+        groups = "; ".join(" or ".join(group) for group in found["rivals"])
+        what = f"whether {groups} acts" if groups else "more than these do"
+        print(f"  next: no stroke of this rig is expected to tell {what}")
         return
     print(f"  next: {following['why']}")
     strokes = following["strokes"]

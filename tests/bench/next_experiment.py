@@ -1,7 +1,7 @@
 """What the strokes that `opc4 diagnose --next` proposes are worth, against repeats and random strokes.
 
-Campaigns of a few strokes with one hidden cause, by the tests' own implementation.  Where the cause
-is not named alone, the proposed strokes are "measured" on the same unit, and both campaigns are
+Campaigns of four strokes of one kind at one supply, with one hidden cause, by the tests' own
+implementation.  Where the cause is not named alone, the proposed strokes are "measured" on the same unit, and both campaigns are
 diagnosed together; the same with as many of the strokes already measured, and with as many drawn
 from all that the rig can do.
 Checked by: tests/hidden_effects/test_next.py
@@ -19,15 +19,18 @@ from typing import Any
 
 import numpy as np
 
+from plant.effects.stroke_conditions import StrokeConditions
 from plant.parameters import load
 from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml, joined, load_campaign
 from sil.diagnosis.designs import designs, imagined
 from sil.diagnosis.diagnosis import Diagnosis, diagnose
 from sil.diagnosis.next_experiment import next_campaign
 from tests.hidden_effects import effects
-from tests.hidden_effects.campaign import Hidden, hide, measure_next, write_campaign
+from tests.hidden_effects.campaign import Hidden, hide, measure_next
 
 STROKES = 4
+SUPPLY_PA = 9e5
+DRIVES = {"fixed": "1", "N-B": "B", "B-N": "N", "N-F": "F"}
 WAYS = ("proposed", "repeated", "random")
 SURE = 0.7
 
@@ -51,6 +54,19 @@ class Outcome:
         stated = {cause.id: cause.probability for cause in found.causes}
         others = [p for name, p in stated.items() if name not in hidden.names]
         return cls(found.verdict.kind, stated.get(hidden.names[0], 0.0), max(others, default=0.0))
+
+
+def first_campaign(folder: Path, kinds: Sequence[str], hidden: Hidden, seed: int) -> Path:
+    """Measure strokes of these kinds at one supply."""
+    folder.mkdir()
+    entries = []
+    for number, kind in enumerate(kinds, start=1):
+        commands = ((0.01, DRIVES[kind], 0.98), (0.2, DRIVES[kind], 0.0))
+        conditions = StrokeConditions(kind, SUPPLY_PA, commands, rest_s=30.0)
+        entries.append(CampaignStroke(f"stroke_{number:03d}.csv", kind, conditions))
+    made = Campaign(folder, "first", "both", 101325.0, 293.15, 10000.0, tuple(entries))
+    (folder / "campaign.toml").write_text(campaign_toml(made, entries), encoding="utf-8")
+    return measure_next(folder, hidden, seed, day=4)
 
 
 def planned(way: str, found: Diagnosis, rng: np.random.Generator) -> tuple[CampaignStroke, ...]:
@@ -84,11 +100,13 @@ def measured_again(
 def one(seed: int, folder: Path, ways: Sequence[str] = WAYS) -> dict[str, Any]:
     """Hide a cause, diagnose, and measure again where it is not named."""
     rng = np.random.default_rng([seed, 7])
-    name = str(rng.choice(list(effects.SIZES)))
-    hidden = hide((name,), str(rng.choice(("small", "medium"))), seed)
-    campaign = load_campaign(write_campaign(folder / "first", hidden, seed, STROKES))
+    visible = [name for name, row in effects.SIZES.items() if row[0] != "damper"]
+    name = str(rng.choice(visible))
+    hidden = hide((name,), str(rng.choice(("medium", "easy"))), seed)
+    kind = str(rng.choice(list(DRIVES)))
+    campaign = load_campaign(first_campaign(folder / "first", [kind] * STROKES, hidden, seed))
     first = diagnose(campaign, load(), workers=1, plan=True)
-    row: dict[str, Any] = {"seed": seed, "hidden": name, "level": hidden.level}
+    row: dict[str, Any] = {"seed": seed, "hidden": name, "level": hidden.level, "kind": kind}
     row["first"] = vars(Outcome.of(first, hidden))
     if Outcome.of(first, hidden).solved or first.next_experiment is None:
         return row
@@ -105,7 +123,7 @@ def one(seed: int, folder: Path, ways: Sequence[str] = WAYS) -> dict[str, Any]:
 def table(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     """Yield what came of it."""
     asked = [row for row in rows if "proposed" in row]
-    yield f"{len(rows)} campaigns of {STROKES} strokes; {len(asked)} measured again"
+    yield f"{len(rows)} campaigns of {STROKES} strokes of one kind; {len(asked)} measured again"
     yield "| strokes | named rightly | probability of what was hidden | wrong above 0.8 |"
     yield "|---|---|---|---|"
     for way in ("first", *WAYS):

@@ -3,51 +3,21 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
 from sil.campaign.campaign import load_campaign
 from sil.cli import main
-from tests.bench.next_experiment import Outcome, table
+from tests.bench.next_experiment import Outcome, first_campaign, table
 from tests.hidden_effects.campaign import Hidden, hide, measure_next
 
-ONE_SUPPLY = """\
-name = "one supply"
-rig = "both"
-atmosphere_pa = 101325.0
-temperature_k = 293.15
-sample_rate_hz = 10000.0
-"""
-STROKE = """
-[[stroke]]
-file = "stroke_{number:03d}.csv"
-kind = "{kind}"
-supply_pressure_pa = 900000.0
-load = "none"
-spring_n_per_m = 0.0
-start_offset_m = 0.0
-rest_s = 30.0
-commands = [[0.01, "{valve}", 0.98], [0.2, "{valve}", 0.0]]
-charged_before = []
-"""
-KINDS = (("fixed", "1"), ("N-B", "B"), ("B-N", "N"), ("N-F", "F"), ("fixed", "1"), ("N-B", "B"))
-
-
-def measured_at_one_supply(folder: Path, hidden: Hidden, seed: int) -> Path:
-    folder.mkdir()
-    strokes = [
-        STROKE.format(number=number, kind=kind, valve=valve)
-        for number, (kind, valve) in enumerate(KINDS, start=1)
-    ]
-    (folder / "campaign.toml").write_text(ONE_SUPPLY + "".join(strokes), encoding="utf-8")
-    return measure_next(folder, hidden, seed, day=4)
+KINDS = ("fixed", "N-B", "B-N", "N-F", "fixed", "N-B")
 
 
 @pytest.mark.slow
 def test_a_delay_at_one_supply_is_settled_by_the_strokes_proposed(tmp_path, capsys) -> None:
     hidden = Hidden(("valve_open_delay",), ("valve timing",), "easy", {"open_later_s": 0.004})
-    first = measured_at_one_supply(tmp_path / "measured", hidden, 71)
+    first = first_campaign(tmp_path / "measured", KINDS, hidden, 71)
     out = tmp_path / "first"
     assert main(["diagnose", str(first), "--next", "--out", str(out), "--quiet"]) == 1
     before = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
@@ -82,11 +52,14 @@ def test_next_is_refused_where_it_does_not_apply(tmp_path, capsys) -> None:
     force.mkdir()
     (force / "campaign.toml").write_text('name = "axis"\nrig = "force"\n', encoding="utf-8")
     hidden = hide((), "easy", 1)
-    folder = measured_at_one_supply(tmp_path / "measured", hidden, 1)
+    folder = first_campaign(tmp_path / "measured", KINDS[:1], hidden, 1)
     for arguments, expected in (
         ([str(log), "--next"], "--next: not with CAN logs; expected a campaign folder"),
         ([str(force), "--next"], '--next: not together with rig = "force"; expected none'),
-        ([str(folder), "--next", "--new", str(tmp_path / "new")], "--next: not together with --new"),
+        (
+            [str(folder), "--next", "--new", str(tmp_path / "new")],
+            "--next: not together with --new",
+        ),
         ([str(folder), str(force)], 'axis: rig = "force" among other campaigns'),
         ([str(folder), str(folder)], "the same campaign twice; expected each once"),
         ([str(folder), str(log)], "truck.log: no campaign.toml; expected a campaign folder"),
@@ -106,7 +79,7 @@ def test_table_of_the_study() -> None:
         {"first": unsure, "proposed": named, "repeated": unsure, "random": wrong},
     ]
     lines = list(table(rows))
-    assert lines[0] == "2 campaigns of 4 strokes; 1 measured again"
+    assert lines[0] == "2 campaigns of 4 strokes of one kind; 1 measured again"
     assert lines[3:] == [
         "| first | 0 of 1 | 0.40 | 0 |",
         "| proposed | 1 of 1 | 0.90 | 0 |",
