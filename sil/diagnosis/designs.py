@@ -23,6 +23,8 @@ from sil.fitting.observations import StrokeObservation, observe
 
 PULSES_S = (0.02, 0.05)
 """How long a valve is commanded open instead: shorter and longer than it takes to close."""
+LATER_S = 3.0
+"""So long a stroke is recorded before it begins instead: a clock that drifts has drifted by then."""
 LOWER = 2.0 / 3.0
 """Share of the pressure above atmosphere that is tried too where all strokes had one supply."""
 TRAVEL = 0.9
@@ -43,8 +45,8 @@ def designs(
     """Return strokes that the rig can do, each once: what was measured, varied.
 
     Kinds, loads and springs as measured; supply pressures from the lowest to the highest one that
-    was; the driving valve as commanded, or open for PULSES_S; the opposite chamber charged and vented
-    as the stroke begins, or not. folder: of their files; every_rest: with the shortest and the
+    was; the driving valve as commanded, LATER_S later, or open for PULSES_S; the opposite chamber
+    charged and vented as the stroke begins, or not. folder: of their files; every_rest: with the shortest and the
     longest rest, otherwise with the first one.
     """
     measured = [stroke.conditions for stroke in strokes]
@@ -54,7 +56,7 @@ def designs(
     found: dict[StrokeConditions, None] = {}
     for base in measured:
         for commanded in (base, *_against(base)):
-            for commands in (commanded.commands, *_pulses(commanded)):
+            for commands in (commanded.commands, *_pulses(commanded), *_later(commanded)):
                 for supply_pa in supplies:
                     for rest_s in rests:
                         new = replace(
@@ -85,6 +87,9 @@ def described(conditions: StrokeConditions) -> str:
             begins.setdefault(valve, when)
         elif valve in begins:
             words.append(f"valve {valve} open for {1e3 * (when - begins.pop(valve)):.3g} ms")
+    begin_s = min((when for when, _valve, _duty in c.commands), default=0.0)
+    if begin_s >= 1.0:
+        words.append(f"begun {begin_s:.3g} s into the record")
     return ", ".join([*words, f"after {c.rest_s:.3g} s"])
 
 
@@ -121,6 +126,12 @@ def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], 
     for pulse_s in PULSES_S:
         pulse = [(begin_s, driving, FULL_DUTY), (round(begin_s + pulse_s, 6), driving, 0.0)]
         yield tuple(sorted([*others, *pulse]))
+
+
+def _later(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
+    """Yield the commands LATER_S later in the record, if they are at its beginning."""
+    if all(when < LATER_S for when, _valve, _duty in base.commands):
+        yield tuple((when + LATER_S, valve, duty) for when, valve, duty in base.commands)
 
 
 def imagined(

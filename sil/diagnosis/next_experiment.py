@@ -45,6 +45,8 @@ ENOUGH = CLAIM
 """Log evidence at which two hypotheses count as separated."""
 SURE = 3.0
 """Log evidence that would do if the equations were exact: ENOUGH counts as this much."""
+FEWEST = 2
+"""Strokes that are proposed at least: one to fit, and one to judge the fit by."""
 MOST = 12
 """Strokes that are proposed at most."""
 SIZES = (1.0, 0.25)
@@ -119,8 +121,9 @@ class NextExperiment:
     def __iter__(self) -> Iterator[tuple[int, Proposed]]:
         """Yield strokes that are not alike, and how often each is to be measured."""
         counts = Counter(item.entry.conditions for item in self.strokes)
-        for item in {item.entry.conditions: item for item in reversed(self.strokes)}.values():
-            yield counts[item.entry.conditions], item
+        for item in self.strokes:
+            if count := counts.pop(item.entry.conditions, 0):
+                yield count, item
 
     @property
     def separated(self) -> bool:
@@ -470,13 +473,16 @@ def _chosen(
     most = sum(float(-q.probabilities @ np.log(q.probabilities)) for q in questions)
     while len(picked) < MOST:
         best = max(choices, key=lambda k: value(sums.plus(choices[k])))
-        told = sums.plus(choices[best])
-        gained = value(told) - reached
+        gained = value(sums.plus(choices[best])) - reached
         if gained < LEAST * most:
-            break
+            if not picked or len(picked) >= FEWEST:
+                break
+            best = picked[0]
         picked.append(best)
-        sums, reached = told, reached + gained
-        if all(d >= questions[0].enough for d in sums.distances().values()):
+        sums = sums.plus(choices[best])
+        reached = value(sums)
+        enough = all(d >= questions[0].enough for d in sums.distances().values())
+        if enough and len(picked) >= FEWEST:
             break
     picked = sorted(picked, key=picked.index)
     alone = {k: nothing.plus(choices[k]).distances() for k in picked}

@@ -17,7 +17,7 @@ from plant.effects.effect import Starts
 from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
 from sil.diagnosis.screening import Score, screen
-from sil.diagnosis.split import stratum
+from sil.diagnosis.split import Stratum, stratum
 from sil.diagnosis.workers import Stages, fitted
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import misfit, strained
@@ -351,7 +351,7 @@ def _promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
 
 def _sample_of(model: CampaignModel, training: Sequence[int]) -> tuple[int, ...]:
     """Return a few training strokes for first fits: each stratum in turn, at most SAMPLE."""
-    ranks: Counter[tuple[str, str, bool]] = Counter()
+    ranks: Counter[Stratum] = Counter()
     ranked = []
     for k in training:
         key = stratum(model.strokes[k])

@@ -17,10 +17,14 @@ ODD = 1.3
 """Mean square over the usual one beyond which a stroke is odd."""
 
 
-def stratum(stroke: StrokeObservation) -> tuple[str, str, bool]:
-    """Return what makes strokes alike: kind, load, and whether a chamber is still charged."""
+Stratum = tuple[str, str, bool, str]
+
+
+def stratum(stroke: StrokeObservation) -> Stratum:
+    """Return what makes strokes alike: kind, load, whether a chamber is still charged, and the day."""
     conditions = stroke.conditions
-    return conditions.kind, conditions.load, bool(conditions.charged_before)
+    charged = bool(conditions.charged_before)
+    return conditions.kind, conditions.load, charged, stroke.entry.session
 
 
 def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -33,7 +37,7 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
     n = len(strokes)
     if n < 3:
         return tuple(range(n)), ()
-    groups: dict[tuple[str, str, bool], list[int]] = {}
+    groups: dict[Stratum, list[int]] = {}
     for k, stroke in enumerate(strokes):
         groups.setdefault(stratum(stroke), []).append(k)
     ordered = sorted(

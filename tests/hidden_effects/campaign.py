@@ -233,7 +233,8 @@ def record(
     rng: np.random.Generator,
 ) -> dict[str, np.ndarray]:
     """One stroke as the instruments saw it."""
-    time_s = np.arange(round(DURATION_S * RATE_HZ) + 1) / RATE_HZ
+    end_s = max(DURATION_S, max(when for when, _valve, _duty in case.commands) + 0.1)
+    time_s = np.arange(round(end_s * RATE_HZ) + 1) / RATE_HZ
     actuator = changed(case, change, rest_s)
     try:
         states = actuator.solve(time_s, rtol=1e-7, max_step=2e-3).states

@@ -11,7 +11,8 @@ from sil.diagnosis.split import MOST_TRAINING, split, stratum
 
 stroke = st.builds(
     lambda kind, load, charged, rest: SimpleNamespace(
-        conditions=SimpleNamespace(kind=kind, load=load, charged_before=charged, rest_s=rest)
+        conditions=SimpleNamespace(kind=kind, load=load, charged_before=charged, rest_s=rest),
+        entry=SimpleNamespace(session=""),
     ),
     st.sampled_from(["fixed", "N-B", "B-N"]),
     st.sampled_from(["none", "damper"]),
