@@ -22,6 +22,7 @@ from sil.diagnosis.workers import Stages
 from sil.files.progress import Progress
 from sil.files.quantity import counted
 from sil.fitting.fit import no_progress
+from sil.shift_diagnosis.challenge import challenged
 from sil.shift_diagnosis.fit import Fitter, fits_of
 from sil.shift_diagnosis.healthy import (
     loaded_fit,
@@ -67,6 +68,9 @@ AS_GOOD: Final = 5.0
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 FEWEST_SHIFTS: Final = 3
+UNSURE: Final = 5.0
+"""Log evidence by which fits of one cause end apart from which that is said."""
+MANY: Final = "which cause it is follows no more surely than that, in log evidence"
 VARIES_PA: Final = 2e4
 """Standard deviation of the supply pressure from which what depends on it can be distinguished."""
 
@@ -123,9 +127,11 @@ def judge_shifts(
     if healthy_share(judged) < DOUBTED:
         own = partial(run, progress=stages.until(90.0))
         judged = weighed(second_attempt(fitter, whole, judged, causes, own), ids)
-        own = partial(run, progress=stages.until(97.0))
+        own = partial(run, progress=stages.until(94.0))
         judged = weighed(with_rivals(whole, judged, causes, own), ids)
         judged = weighed(healthy_again(whole, judged), ids)
+    own = partial(run, progress=stages.until(98.0))
+    judged, apart = challenged(whole, judged, causes, ids, own)
     judged = [
         item if item.fit.cause is None else replace(item, minima=minima.get(item.fit.cause, ()))
         for item in judged
@@ -135,6 +141,11 @@ def judge_shifts(
         probabilities[item.id] = probabilities.get(item.id, 0.0) + item.probability
     detectable = detectable_of(linear_at(whole, used, judged[0].fit, causes), ids)
     verdict, findings = verdict_of(judged, probabilities, detectable)
+    if apart > UNSURE and verdict == "ambiguous":
+        findings = [
+            f"fits of one cause from other starts end {apart:.0f} behind: {MANY}",
+            *findings,
+        ]
     if odd:
         verdict, findings = with_odd(verdict, findings, used, odd)
     return ShiftDiagnosis(

@@ -28,7 +28,7 @@ from sil.shift_diagnosis.linear import (
 )
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.shifts import Shift
-from sil.shift_diagnosis.starts import usual_starts
+from sil.shift_diagnosis.starts import starts_around
 from sil.shift_diagnosis.verdict import (
     ALARM,
     DOUBTED,
@@ -121,7 +121,7 @@ def promising(
     """
     strained = not is_explained(healthy) or np.max(np.abs(healthy.values)) > STRAINED
     quick = Fitter(fitter.model, spread(fitter.shifts, QUICK_SHIFTS), fitter.noise)
-    usual = usual_starts(quick, causes, COARSE_M[0]) if strained else {}
+    usual = starts_around(quick, causes, COARSE_M[0]) if strained else {}
     base, _point = explained(linear)
     quickly: dict[Cause, Fit] = {}
     if strained:
@@ -151,12 +151,12 @@ def promising(
         if len(chosen) < FITTED and ids[cause.effect.id] < 2:
             chosen.append((cause, starts))
             ids[cause.effect.id] += 1
-    near = sorted(usual, key=lambda cause: usual[cause][0])[:NEAREST]
+    near = sorted(usual, key=lambda cause: usual[cause][0][0])[:NEAREST]
     starts_of = dict(chosen) | {cause: [] for cause in near if cause not in dict(chosen)}
     return [
         (cause, point)
         for cause, own in starts_of.items()
-        for point in (*own, *([usual[cause][1]] if cause in near else []))
+        for point in (*own, *([usual[cause][0][1]] if cause in near else []))
     ]
 
 
@@ -204,10 +204,10 @@ def second_attempt(
     starts of each effect to more, and the best variant of those that are not hopeless to all. What
     the first search left out need not be worse.
     """
-    usual = usual_starts(fitter, causes, COARSE_M[0])
+    usual = starts_around(fitter, causes, COARSE_M[0])
     trucks = [item.fit for item in judged if item.fit.cause is None]
     trucks += [item.fit for item in judged if item.fit.cause is not None][:1]
-    items: list[tuple[Cause | None, Floats]] = [(cause, usual[cause][1]) for cause in causes]
+    items: list[tuple[Cause | None, Floats]] = [(cause, usual[cause][0][1]) for cause in causes]
     for truck in trucks:
         linear = linear_at(fitter, fitter.shifts, truck, causes)
         for k, cause in enumerate(causes):

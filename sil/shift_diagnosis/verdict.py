@@ -149,16 +149,17 @@ class ShiftDiagnosis:
         return list(found.values())
 
 
-def weighed(judged: Sequence[Judged], ids: int) -> list[Judged]:
+def weighed(judged: Sequence[Judged], ids: int, apart: float = 0.0) -> list[Judged]:
     """Return the hypotheses with their probabilities, the most probable first.
 
     A cause that is behind another counts by Student's form: their fits end in one of many minima,
     and the differences between truck and model repeat from shift to shift. What all causes together
-    have against a healthy truck is their evidence as it is.
+    have against a healthy truck is their evidence as it is. ids: how many effects are offered.
+    apart: log evidence by which fits of one cause were seen to end apart.
     """
     scale = max(1.0, min(item.chi2 for item in judged))
     shifts = len(judged[0].fit.linear.misfit)
-    between = scale * MINIMUM * max(1.0, shifts / REPEATED)
+    between = max(scale * MINIMUM * max(1.0, shifts / REPEATED), apart)
     variants = Counter(item.id for item in judged)
     least = min((item.cost for item in judged if item.fit.cause), default=0.0)
     logs, shares = np.zeros(len(judged)), np.zeros(len(judged))

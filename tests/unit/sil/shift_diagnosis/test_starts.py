@@ -12,7 +12,7 @@ from plant.parameters import load
 from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
-from sil.shift_diagnosis.starts import usual_starts
+from sil.shift_diagnosis.starts import starts_around
 from tests.bench.truck_logs import truck_log
 
 
@@ -35,7 +35,7 @@ def weak(tmp_path_factory: pytest.TempPathFactory) -> list[Shift]:
 def test_a_large_cause_begins_near_its_size(weak: list[Shift]) -> None:
     fitter = Fitter(PlantModel(load("nominal"), True), weak)
     supply, play = only("supply_low"), only("free_play")
-    found = usual_starts(fitter, [supply, play], 1e-3)
-    assert 0.2 < supply.value(found[supply][1][-1]) < 0.45
-    assert found[supply][0] < 0.3 * found[play][0]
-    assert np.all(np.abs(found[supply][1][:-1]) < 3.0)
+    found = starts_around(fitter, [supply, play], 1e-3)
+    assert 0.2 < supply.value(found[supply][0][1][-1]) < 0.45
+    assert found[supply][0][0] < 0.3 * found[play][0][0]
+    assert np.all(np.abs(found[supply][0][1][:-1]) < 3.0)

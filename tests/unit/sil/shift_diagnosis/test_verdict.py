@@ -115,6 +115,16 @@ def test_evidence_between_causes_ends_where_models_of_trucks_do(
     assert sum(found.values()) == pytest.approx(1.0)
 
 
+def test_evidence_between_causes_is_no_surer_than_restarts_of_a_fit_agree() -> None:
+    hypotheses = [judged(LATE, 0.0, 10), judged(FORCE, 15.0, 10), judged(None, 15.0, 10)]
+    sure, unsure = (
+        {item.id: item.probability for item in weighed(hypotheses, 20, apart)}
+        for apart in (1.0, 30.0)
+    )
+    assert sure["valve_open_delay"] > CERTAIN > unsure["valve_open_delay"] > 0.5
+    assert unsure["healthy"] == pytest.approx(sure["healthy"])
+
+
 def test_many_causes_that_do_next_to_nothing_are_no_alarm_together() -> None:
     others = [cause for cause in catalogue() if cause.effect.id != LATE.effect.id]
     firsts = list({cause.effect.id: cause for cause in others}.values())[:19]
