@@ -238,7 +238,12 @@ def load_campaign(path: str | Path) -> Campaign:
     folder = Path(path)
     file = folder if folder.suffix == ".toml" else folder / "campaign.toml"
     if not file.is_file():
-        raise InputError(f"{path}: no campaign.toml; expected a campaign folder")
+        what = f"{path}: no campaign.toml; expected a campaign folder"
+        if folder.is_dir() and any(folder.iterdir()):
+            what += (
+                f"; for CAN logs: opc4 diagnose {path}/*, for others: opc4 diagnose --new DIR FILES"
+            )
+        raise InputError(what)
     table = convert(read_toml(file), CampaignTable, str(file))
     check_files([entry.file for entry in table.stroke], file)
     last = max(len(table.stroke) - 1, 1)

@@ -22,7 +22,7 @@ from sil.diagnosis.workers import Stages
 from sil.files.progress import Progress
 from sil.files.quantity import counted
 from sil.fitting.fit import no_progress
-from sil.shift_diagnosis.challenge import challenged
+from sil.shift_diagnosis.challenge import alike_by_theory, challenged
 from sil.shift_diagnosis.fit import Fitter, fits_of
 from sil.shift_diagnosis.healthy import (
     loaded_fit,
@@ -38,6 +38,7 @@ from sil.shift_diagnosis.linear import (
 )
 from sil.shift_diagnosis.loads import with_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
+from sil.shift_diagnosis.polish import continued
 from sil.shift_diagnosis.search import (
     around_best,
     close_ones,
@@ -68,9 +69,6 @@ AS_GOOD: Final = 5.0
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 FEWEST_SHIFTS: Final = 3
-UNSURE: Final = 5.0
-"""Log evidence by which fits of one cause end apart from which that is said."""
-MANY: Final = "which cause it is follows no more surely than that, in log evidence"
 VARIES_PA: Final = 2e4
 """Standard deviation of the supply pressure from which what depends on it can be distinguished."""
 
@@ -127,11 +125,14 @@ def judge_shifts(
     if healthy_share(judged) < DOUBTED:
         own = partial(run, progress=stages.until(90.0))
         judged = weighed(second_attempt(fitter, whole, judged, causes, own), ids)
-        own = partial(run, progress=stages.until(94.0))
+        own = partial(run, progress=stages.until(92.0))
         judged = weighed(with_rivals(whole, judged, causes, own), ids)
+        judged = weighed(continued(whole, judged, partial(run, progress=stages.until(94.0))), ids)
         judged = weighed(healthy_again(whole, judged), ids)
     own = partial(run, progress=stages.until(98.0))
-    judged, apart = challenged(whole, judged, causes, ids, own)
+    judged = challenged(whole, judged, causes, ids, own)
+    detectable = detectable_of(linear_at(whole, used, judged[0].fit, causes), ids)
+    judged = weighed(judged, ids, alike_by_theory(judged, detectable))
     judged = [
         item if item.fit.cause is None else replace(item, minima=minima.get(item.fit.cause, ()))
         for item in judged
@@ -139,13 +140,7 @@ def judge_shifts(
     probabilities: dict[str, float] = {}
     for item in judged:
         probabilities[item.id] = probabilities.get(item.id, 0.0) + item.probability
-    detectable = detectable_of(linear_at(whole, used, judged[0].fit, causes), ids)
     verdict, findings = verdict_of(judged, probabilities, detectable)
-    if apart > UNSURE and verdict == "ambiguous":
-        findings = [
-            f"fits of one cause from other starts end {apart:.0f} behind: {MANY}",
-            *findings,
-        ]
     if odd:
         verdict, findings = with_odd(verdict, findings, used, odd)
     return ShiftDiagnosis(

@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/shift_diagnosis/test_verdict.py, test_diagnose_logs.p
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp, log, log1p
 from typing import Final
@@ -149,17 +149,19 @@ class ShiftDiagnosis:
         return list(found.values())
 
 
-def weighed(judged: Sequence[Judged], ids: int, apart: float = 0.0) -> list[Judged]:
+def weighed(
+    judged: Sequence[Judged], ids: int, unsure: Mapping[str, float] | None = None
+) -> list[Judged]:
     """Return the hypotheses with their probabilities, the most probable first.
 
     A cause that is behind another counts by Student's form: their fits end in one of many minima,
     and the differences between truck and model repeat from shift to shift. What all causes together
     have against a healthy truck is their evidence as it is. ids: how many effects are offered.
-    apart: log evidence by which fits of one cause were seen to end apart.
+    unsure: of some effects, by their id, log evidence below which being behind decides nothing.
     """
     scale = max(1.0, min(item.chi2 for item in judged))
     shifts = len(judged[0].fit.linear.misfit)
-    between = max(scale * MINIMUM * max(1.0, shifts / REPEATED), apart)
+    least_between = scale * MINIMUM * max(1.0, shifts / REPEATED)
     variants = Counter(item.id for item in judged)
     least = min((item.cost for item in judged if item.fit.cause), default=0.0)
     logs, shares = np.zeros(len(judged)), np.zeros(len(judged))
@@ -168,6 +170,7 @@ def weighed(judged: Sequence[Judged], ids: int, apart: float = 0.0) -> list[Judg
             logs[k] = log(HEALTHY_PRIOR) - item.cost / scale
         else:
             prior = (1.0 - HEALTHY_PRIOR) / ids / variants[item.id]
+            between = max(least_between, (unsure or {}).get(item.id, 0.0))
             behind = 0.5 * EFFECTIVE * log1p(2.0 * (item.cost - least) / between / EFFECTIVE)
             logs[k] = log(prior) - item.cost / scale
             shares[k] = prior * exp(-behind)

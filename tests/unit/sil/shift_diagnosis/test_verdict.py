@@ -115,10 +115,10 @@ def test_evidence_between_causes_ends_where_models_of_trucks_do(
     assert sum(found.values()) == pytest.approx(1.0)
 
 
-def test_evidence_between_causes_is_no_surer_than_restarts_of_a_fit_agree() -> None:
+def test_evidence_against_a_cause_counts_no_more_than_it_is_known() -> None:
     hypotheses = [judged(LATE, 0.0, 10), judged(FORCE, 15.0, 10), judged(None, 15.0, 10)]
     sure, unsure = (
-        {item.id: item.probability for item in weighed(hypotheses, 20, apart)}
+        {item.id: item.probability for item in weighed(hypotheses, 20, {FORCE.effect.id: apart})}
         for apart in (1.0, 30.0)
     )
     assert sure["valve_open_delay"] > CERTAIN > unsure["valve_open_delay"] > 0.5
