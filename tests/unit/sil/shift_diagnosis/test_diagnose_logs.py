@@ -34,8 +34,8 @@ def test_late_valves_are_found_with_what_looks_alike(late_log: Path, tmp_path: P
     alike = {"valve_open_delay", "sensor_delay"}
     assert set(list(causes)[:2]) == alike
     shares = [cause["probability"] for cause in found["causes"]]
-    # six shifts: what explains them less well is not excluded, but far less probable
-    assert sum(shares[:2]) > 0.5 and all(3.0 * share < shares[1] for share in shares[2:])
+    # six shifts: what explains them less well is not excluded, but less than half as probable
+    assert sum(shares[:2]) > 0.5 and all(2.0 * share < shares[1] for share in shares[2:])
     delay = causes["valve_open_delay"]["parameters"]["delay_s"]
     assert delay["low"] < 0.007 < delay["high"]
     # wide: 6 shifts, and pulses near kinks of the motion count less
