@@ -102,14 +102,19 @@ class Tried(Explanation):
         return float(np.sqrt(self.squares.sum() / self.samples))
 
     @property
+    def over_noise(self) -> float:
+        """Held-out rms over the noise of the balance; 1 = explained."""
+        return self.rms_n / self.noise_n
+
+    @property
     def score(self) -> float:
         """Held-out cost in log evidence."""
-        return 0.5 * self.count * (self.rms_n / self.noise_n) ** 2
+        return 0.5 * self.count * self.over_noise**2
 
     @cached_property
     def whole(self) -> Misfit:
         """Misfit against noise and the scatter between strokes."""
-        rms = self.rms_n / self.noise_n
+        rms = self.over_noise
         band = max(EXPLAINED, min(3.0, EXPLAINED * self.expected_n / self.noise_n))
         channel = ChannelMisfit(rms, round(self.count), band)
         excess = self.count * (rms**2 - 1.0)
@@ -206,11 +211,8 @@ class Bank:
             )
         found: list[str] = []
         for name, column in table.items():
-            if (
-                found
-                and difference(np.linalg.qr(np.column_stack([table[n] for n in found]))[0], column)
-                < ALIKE
-            ):
+            before = [table[n] for n in found]
+            if found and difference(np.linalg.qr(np.column_stack(before))[0], column) < ALIKE:
                 self.missing[name] = {
                     VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would determine it",
                     "offset_n": "not determined: the body moves one way only; strokes both ways would separate it from friction",

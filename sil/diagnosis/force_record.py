@@ -91,15 +91,17 @@ class ForceRig(Struct, frozen=True, forbid_unknown_fields=True):
 class Recorded:
     """All samples of a campaign, and which of them are judged.
 
-    raw: position, force and pressure as measured (the force, and a pressure that it comes from, less
-    a delay within a sampling step), speed and acceleration filtered, all [n]; its block is the number
-    of the group of strokes that is held out together. starts: first sample of each part of a file
-    without gaps; judged: [n]; stroke: [n]; width: of the filter, in samples; step_s: sampling step; force_sd_n, position_sd_m: noise of a
+    raw: position, force and pressure as measured (less a delay that is taken off), speed and
+    acceleration filtered, all [n]; its block is the number of the group of strokes that is held out
+    together. recorded_n: the force without what pressures add to it, in N; all of it where no force is
+    recorded, [n]. starts: first sample of each part of a file without gaps; judged: [n]; stroke: [n];
+    width: of the filter, in samples; step_s: sampling step; force_sd_n, position_sd_m: noise of a
     sample; stride: distance of judged samples.
     """
 
     name: str
     raw: Motion
+    recorded_n: Floats
     starts: NDArray[np.int64]
     judged: NDArray[np.bool_]
     stroke: NDArray[np.int64]
@@ -187,8 +189,7 @@ def read_motion(path: str | Path) -> Recorded:
         if record.dialect:
             findings.append(f"{record.path.name}: read as {record.dialect}")
         # a stuck force is hidden by the pressures that are added to it
-        own = next((record[name] for name in FORCES if name in record), signals[1])
-        checked = np.vstack([signals[0], own, signals[2]])
+        checked = signals[[0, 3, 2]]
         sds = noise_of(signals[1], record.time_s), noise_of(signals[0], record.time_s)
         for rows in _parts(record, findings):
             if (record.time_s[rows[-1]] - record.time_s[rows[0]]) / step < MARGIN:
@@ -205,7 +206,7 @@ def read_motion(path: str | Path) -> Recorded:
 
 
 def _signals(record: Record, body: Body) -> Floats:
-    """Return position, driving force and pressure (NaN without) of a record: [3, n]."""
+    """Return position, driving force, pressure (NaN without) and recorded force of a record: [4, n]."""
     path = record.path
     position = next((record[name] for name in ("position_m", "angle_rad") if name in record), None)
     if position is None:
@@ -219,14 +220,14 @@ def _signals(record: Record, body: Body) -> Floats:
         raise InputError(
             f"{path}: no force_n, and no pressure_pa with piston_area_m2; expected a driving force"
         )
-    force = np.zeros(len(record)) if force is None else force
-    force = force + sum(area * record[name] for name, area in areas.items() if area)
+    own = np.zeros(len(record)) if force is None else force
+    driving = own + sum(area * record[name] for name, area in areas.items() if area)
     if len(record) < FEWEST_SAMPLES:
         raise InputError(f"{path}: {len(record)} samples; expected at least {FEWEST_SAMPLES}")
     pressure = record["pressure_pa"] if "pressure_pa" in record else np.full(len(record), np.nan)
     if "pressure_2_pa" in record:
         pressure = pressure - record["pressure_2_pa"]
-    return np.vstack([position, force, pressure])
+    return np.vstack([position, driving, pressure, driving if force is None else force])
 
 
 def _parts(record: Record, findings: list[str]) -> list[NDArray[np.int64]]:
@@ -242,7 +243,7 @@ def _parts(record: Record, findings: list[str]) -> list[NDArray[np.int64]]:
 
 
 def _even(time_s: Floats, signals: Floats, step: float) -> Floats:
-    """Return signals [3, n] at one step: [3, m]."""
+    """Return signals [k, n] at one step: [k, m]."""
     from scipy.interpolate import make_interp_spline
 
     if np.max(np.abs(np.diff(time_s) - step)) <= 0.01 * step:
@@ -263,7 +264,7 @@ def _judged(
     findings: list[str],
     doubts: list[str],
 ) -> Recorded:
-    """Return the parts [3, m] as one record: filtered, its strokes found, slow samples left out.
+    """Return the parts [4, m] as one record: filtered, its strokes found, slow samples left out.
 
     noise: of force and position in each part.
     """
@@ -275,7 +276,7 @@ def _judged(
         else max(1.0, rig.body.smooth_s / step)
     )
     speeds = [smoothed(part[0], width, 1) / step for part in parts]
-    x, f, p = np.concatenate(parts, axis=1)
+    x, f, p, own = np.concatenate(parts, axis=1)
     v = np.concatenate(speeds)
     a = np.concatenate([smoothed(part[0], width, 2) / step**2 for part in parts])
     fast = float(np.quantile(np.abs(v), 0.99))
@@ -310,6 +311,7 @@ def _judged(
     return Recorded(
         rig.name,
         raw,
+        own,
         np.flatnonzero(starts),
         judged,
         stroke,

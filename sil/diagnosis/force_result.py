@@ -56,7 +56,7 @@ class ForceDiagnosis:
 
     def over_noise(self, item: Tried) -> float:
         """Return the held-out rms over the noise of the balance; 1 = explained."""
-        return item.rms_n / item.noise_n
+        return item.over_noise
 
     def error(self, item: Tried) -> float:
         """Return the relative force error: held-out rms over the rms of the driving force."""
