@@ -55,7 +55,9 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     path.write_text(found.extended, encoding="utf-8")
     extended = load(path)
     assert extended.effects["exhaust_clog"]["factor"].value == pytest.approx(factor.value)
-    plain = json.loads(json.dumps(finite(write_report(found, tmp_path, "measured/ --model nominal", "nominal"))))
+    plain = json.loads(
+        json.dumps(finite(write_report(found, tmp_path, "measured/ --model nominal", "nominal")))
+    )
     assert plain["explanations"][0]["behind"] == 0.0 and plain["explanations"][0]["left_over"] < 1.1
     assert len(plain["loop"]["shifts"]) == 7 and "What it changes in the control loop" in (
         tmp_path / "report.html"
