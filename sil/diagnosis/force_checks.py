@@ -16,6 +16,8 @@ from sil.diagnosis.noise import rounding_of
 
 MOVING_SHARE: Final = 0.25
 """Share of a run at one position with forces above the median in motion: then it is no rest."""
+CONTINUED: Final = 0.25
+"""A sample that two before, or two after it run straight on to, within this share of its height, is no spike."""
 
 
 def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
@@ -58,10 +60,20 @@ def _spikes(values: Floats) -> NDArray[np.int64]:
     found = []
     for row in np.flatnonzero(far[6:-6]) + 6:
         around = np.concatenate([values[row - 6 : row - 1], values[row + 2 : row + 7]])
-        if np.abs(values[row] - np.median(around)) > 2.0 * np.ptp(around):
+        height = np.abs(values[row] - np.median(around))
+        if height > 2.0 * np.ptp(around) and not _continues(values, int(row), CONTINUED * height):
             found.append(row)
     rows = np.array(found, dtype=np.int64)
     return rows[np.diff(rows, prepend=-2) > 1]
+
+
+def _continues(values: Floats, row: int, most: float) -> bool:
+    """Return whether the two values [n] before or after a sample run straight on to it, within `most`.
+
+    So they do where a motion ends and the force steps, in a record of few samples for a move.
+    """
+    lines = (2.0 * values[row + k] - values[row + 2 * k] for k in (-1, 1))
+    return any(abs(float(values[row] - line)) < most for line in lines)
 
 
 def _moves(position: Floats) -> NDArray[np.bool_]:

@@ -48,6 +48,8 @@ NARROWEST = 1.5
 """Least width of the filter, in samples: what is near half the sampling rate is left out."""
 NOISY = 0.02
 """Most noise of speed and acceleration that the filter leaves, as a share of their rms."""
+LEAST_KEPT = 1.0 / 3.0
+"""Samples near rest and turns are left out if more than this share of those in motion is left."""
 MARGIN = 50.0
 """A part between gaps that has fewer sampling steps is left out."""
 GAP_STEPS = 8.0
@@ -286,8 +288,8 @@ def _judged(
     inner = np.concatenate([_inner(part.shape[1], reach) for part in parts])
     judged = moving & inner
     # where the filter mixes rest and motion, friction is not what the speed says
-    away = judged & ~_near(~moving, int(np.ceil(2.0 * width)))
-    if np.count_nonzero(away) > 0.5 * np.count_nonzero(judged):
+    away = judged & ~_near(~moving | _turning(speeds), int(np.ceil(2.0 * width)))
+    if np.count_nonzero(away) > LEAST_KEPT * np.count_nonzero(judged):
         judged = away
     if np.count_nonzero(judged) < 0.5 * FEWEST_SAMPLES:
         raise InputError(
@@ -345,6 +347,19 @@ def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     from scipy.ndimage import binary_dilation
 
     return np.asarray(binary_dilation(flags, iterations=max(1, reach)))
+
+
+def _turning(speeds: Sequence[Floats]) -> NDArray[np.bool_]:
+    """Return which samples a turn lies next to, from the speeds of parts [n] in m/s.
+
+    A quick one passes all that is slow between two samples. Force and acceleration have steps and
+    pulses there that single samples do not show.
+    """
+    found = []
+    for v in speeds:
+        turns = v[1:] * v[:-1] < 0.0
+        found.append(np.append(turns, False) | np.append(False, turns))
+    return np.concatenate(found)
 
 
 def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.bool_]) -> NDArray[np.int64]:

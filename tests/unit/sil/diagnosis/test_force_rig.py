@@ -159,6 +159,38 @@ def test_a_force_that_changes_its_sign_where_the_body_turns_has_no_spikes() -> N
         assert odd_channels("a.csv", changed, 0) == [f"a.csv: {text}" for text in found]
 
 
+def test_a_force_that_steps_where_a_move_ends_has_no_spikes() -> None:
+    t = np.arange(4000) / 500.0
+    signals = np.array([np.sin(3.0 * t), 50.0 * np.cos(t), np.full(len(t), np.nan)])
+    middle = 1047  # sin(3 t) = 0
+    signals[1, middle - 2 : middle + 1] += [26.0, 53.0, 80.0]
+    assert odd_channels("a.csv", signals, 0) == []
+    assert odd_channels("a.csv", signals[:, ::-1], 0) == []
+
+
+def test_samples_next_to_a_turn_between_two_samples_are_not_judged(tmp_path) -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(6000) / 500.0
+    sizes, w = 0.01 * np.array([0.6, 0.4, 0.2]), np.array([37.0, 83.0, 140.0])
+
+    def motion(order: int, sooner: float = 0.0) -> np.ndarray:
+        return np.sin(np.outer(t + sooner, w) + 0.5 * np.pi * order) @ (sizes * w**order)
+
+    v = motion(1)
+    # a drive that makes up for friction a part of a sampling step before the body turns
+    f = 2.0 * motion(2) + 40.0 * np.sign(motion(1, 0.3 / 500.0)) + 20.0 * v
+    x = motion(0) + rng.normal(0.0, 3e-7, len(t))
+    f = f + rng.normal(0.0, 0.5, len(t))
+    folder = written(tmp_path / "a", "", position_m=x, force_n=f)
+    record = read_motion(folder)
+    turns = np.flatnonzero(v[1:] * v[:-1] < 0.0)
+    assert np.mean(np.abs(v[turns]) > 0.05 * np.quantile(np.abs(v), 0.99)) > 0.2
+    away = np.abs(np.flatnonzero(record.judged)[:, None] - (turns + 0.5)).min(axis=1)
+    assert away.min() > 2.0 * record.width
+    found = diagnose_force(folder)
+    assert found.verdict == "consistent", found.findings()
+
+
 def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:
     folder = rig(tmp_path / "a", faster_n_s_m=30.0)
     assert main(["diagnose", str(folder), "--out", str(tmp_path / "out")]) == 1
