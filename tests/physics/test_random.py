@@ -217,7 +217,7 @@ def test_length_stroke_stays_physical(
 
 
 @pytest.mark.slow
-@settings(max_examples=20000, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=10000, deadline=None, suppress_health_check=list(HealthCheck))
 @given(length_parameters(), LOADS, sequence(3), st.sampled_from("BNF"))
 def test_length_stroke_stays_physical_at_length(
     changes: dict[str, float], load: dict[str, Any], moves: Any, start: str
