@@ -178,8 +178,12 @@ def _synchronizer_notes(record: RunRecord) -> Iterator[Note]:
             begun = event.time_s
         elif event.name in ("sync_unblock", "breakaway") and begun is not None:
             text = f"synchronizer holds {(event.time_s - begun) * MS:.0f} ms"
-            middle = 0.5 * (begun + event.time_s) * MS
-            yield Note(middle, float(event.values["position_m"]) * MM, text, up=-4.0)
+            position = float(event.values["position_m"]) * MM
+            # below the line, on the side on which the curve does not pass
+            if position < 0.0:
+                yield Note(event.time_s * MS, position, text, align="right", up=-4.0)
+            else:
+                yield Note(begun * MS, position, text, align="left", up=-4.0)
             begun = None
 
 
