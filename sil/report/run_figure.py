@@ -107,7 +107,7 @@ def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift])
     pistons: list[Series] = []
     stroke = record.stroke_m * MM
     rules = [Rule(at, "", "grid", "y", "solid") for at in (-stroke, 0.0, stroke)]
-    notes = list(_synchronizer_notes(record))
+    notes = list(_synchronizer_notes(record, zooms))
     spans = []
     for zoom, shift in zip(zooms, shifts, strict=False):  # a run without a shift has one zoom
         rules.append(Rule(shift.requested_s * MS, f"{shift.to_gear} requested"))
@@ -170,7 +170,7 @@ def _note_on_line(time: Floats, values: Floats, text: str, other: Floats) -> lis
     ]  # fmt: skip
 
 
-def _synchronizer_notes(record: RunRecord) -> Iterator[Note]:
+def _synchronizer_notes(record: RunRecord, zooms: Sequence[Zoom]) -> Iterator[Note]:
     """Yield how long the synchronizer holds the stay, each time that it does."""
     begun: float | None = None
     for event in record.events:
@@ -179,11 +179,12 @@ def _synchronizer_notes(record: RunRecord) -> Iterator[Note]:
         elif event.name in ("sync_unblock", "breakaway") and begun is not None:
             text = f"synchronizer holds {(event.time_s - begun) * MS:.0f} ms"
             position = float(event.values["position_m"]) * MM
-            # below the line, on the side on which the curve does not pass
-            if position < 0.0:
-                yield Note(event.time_s * MS, position, text, align="right", up=-4.0)
-            else:
-                yield Note(begun * MS, position, text, align="left", up=-4.0)
+            note = Note(0.5 * (begun + event.time_s) * MS, position, text, up=-4.0)
+            if (event.time_s - begun) * MS < _width(text, note.x, zooms) and position < 0.0:
+                note = replace(
+                    note, x=event.time_s * MS, align="right"
+                )  # the curve falls on its right
+            yield note
             begun = None
 
 
