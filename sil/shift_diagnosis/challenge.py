@@ -14,9 +14,9 @@ from sil.shift_diagnosis.fit import COARSE_M, Fitter
 from sil.shift_diagnosis.linear import Floats
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.polish import continued
-from sil.shift_diagnosis.search import Run, final_fit, healthy_again
+from sil.shift_diagnosis.search import NEARLY, Run, final_fit, healthy_again
 from sil.shift_diagnosis.starts import starts_around
-from sil.shift_diagnosis.verdict import CERTAIN, EXPLAINED, Detectable, Judged, weighed
+from sil.shift_diagnosis.verdict import CERTAIN, Detectable, Judged, weighed
 
 CHALLENGERS: Final = 8
 """Other effects, those whose sizes come nearest to the shifts, that are fitted once more."""
@@ -78,14 +78,15 @@ def alike_by_theory(judged: Sequence[Judged], detectable: Sequence[Detectable]) 
     """Return the effects that look like the one to be named, and how far they are behind it.
 
     That is log evidence, which then decides nothing: by the information of the shifts the two cannot
-    be distinguished, and the other one explains these shifts, too.
+    be distinguished, and the other one explains these shifts nearly as well.
     """
     name = to_be_named(judged)
     own = {other for item in detectable if item.cause.effect.id == name for other in item.alike}
     own |= {item.cause.effect.id for item in detectable if name in item.alike}
-    least = min((item.cost for item in judged if item.id == name), default=0.0)
+    named = [item for item in judged if item.id == name]
     found: dict[str, float] = {}
-    for item in judged:
-        if item.id in own and item.chi2 <= EXPLAINED:
-            found[item.id] = min(item.cost - least, found.get(item.id, float("inf")))
+    for item in judged if named else ():
+        behind = item.cost - min(each.cost for each in named)
+        if item.id in own and item.chi2 < min(each.chi2 for each in named) + NEARLY:
+            found[item.id] = min(behind, found.get(item.id, behind))
     return found
