@@ -1,4 +1,4 @@
-"""The healthy truck of recorded shifts: its loads, its noise, and the shifts that do not fit it.
+"""The healthy truck of recorded shifts: its loads and its noise.
 
 Checked by: tests/unit/sil/shift_diagnosis/test_healthy.py
 """
@@ -7,19 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from sil.shift_diagnosis.fit import Fit, Fitter
 from sil.shift_diagnosis.linear import (
-    Floats,
     Noise,
     unit_names,
 )
 from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, without_speeds
 from sil.shift_diagnosis.model import LEAST_NOISE_M, PlantModel
+from sil.shift_diagnosis.odd import own_impulses
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
 from sil.shift_diagnosis.verdict import (
     EXPLAINED,
@@ -29,8 +28,6 @@ FIT_SHIFTS: Final = 12
 """Shifts that a hypothesis is fitted to before all judge it."""
 SCANS: Final = 2
 """Rounds of loads found and a healthy truck fitted with them."""
-ODD, MOST_ODD = 3.0, 0.15
-"""Chi squared per number, of the shifts' median, from which a shift is odd; and how many may be."""
 
 
 def healthy_fit(
@@ -56,14 +53,22 @@ def loaded_fit(
     """Fit a healthy truck; return it with the shifts, which have loads of their own where needed.
 
     That is without speeds in the log, or where a truck with equal loads does not explain its shifts
-    and loads that differ explain them better.
+    and loads that differ explain them better; and of few odd shifts the impulse, if that suffices.
     """
     silent = without_speeds(used)
     found: list[tuple[Fitter, Fit, list[Shift]]] = []
     if not silent:
         found = [(*healthy_fit(models, spread(used, FIT_SHIFTS), noise), list(used))]
-        if is_explained(found[0][1]):
-            return found[0]
+        fitter, healthy, own = found[0]
+        for _ in range(SCANS):
+            if is_explained(healthy):
+                break
+            own = own_impulses(fitter, healthy, used)
+            if all(now is old for now, old in zip(own, used, strict=True)):
+                break
+            fitter, healthy = healthy_fit([fitter.model], spread(own, FIT_SHIFTS), noise)
+        if is_explained(healthy):
+            return fitter, healthy, own
     for free in (CONE if silent else BARRIERS, BARRIERS + CONE):
         for model in models if silent else [found[0][0].model]:
             own, values = list(used), np.zeros(len(unit_names(model)))
@@ -79,34 +84,6 @@ def loaded_fit(
             break
     assert best is not None
     return best
-
-
-def without_odd(best: Fit) -> tuple[tuple[Floats, ...], list[int]]:
-    """Return the weights [pulses, pulses] of each shift in 1/m2, and which shifts count less.
-
-    These are few that fit far worse than most, and all that cannot be simulated.
-    """
-    linear = best.linear
-    each = linear.misfit / np.maximum(linear.count, 1)
-    limit = ODD * max(1.0, float(np.median(each)))
-    odd, unable = each > limit, linear.count == 0
-    if odd.sum() > MOST_ODD * len(each):
-        return linear.weights, np.flatnonzero(unable).tolist()
-    shares = np.minimum(1.0, limit / np.maximum(each, limit))
-    weights = tuple(s * w for s, w in zip(shares, linear.weights, strict=True))
-    return weights, np.flatnonzero(odd | unable).tolist()
-
-
-def with_odd(
-    verdict: str, findings: Sequence[str], shifts: Sequence[Shift], odd: Sequence[int]
-) -> tuple[str, list[str]]:
-    """Return verdict and findings of shifts some of which are odd: they are not consistent."""
-    names = ", ".join(f"{shifts[k].begin_s:.2f} s of {Path(shifts[k].source).name}" for k in odd)
-    text = (
-        f"{len(odd)} of {len(shifts)} shifts fit far worse than the others, or cannot be "
-        f"simulated, and count less; they begin at {names}"
-    )
-    return ("cannot_tell" if verdict == "consistent" else verdict), [text, *findings]
 
 
 def rest_noise_m(shifts: Sequence[Shift]) -> float:

@@ -28,8 +28,6 @@ from sil.shift_diagnosis.healthy import (
     loaded_fit,
     rest_noise_m,
     spread,
-    with_odd,
-    without_odd,
 )
 from sil.shift_diagnosis.linear import (
     NOISE,
@@ -38,6 +36,7 @@ from sil.shift_diagnosis.linear import (
 )
 from sil.shift_diagnosis.loads import with_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
+from sil.shift_diagnosis.odd import with_odd, without_odd
 from sil.shift_diagnosis.polish import continued
 from sil.shift_diagnosis.search import (
     around_best,
@@ -111,7 +110,7 @@ def judge_shifts(
     close[0] = fitter.settle(close[0])
     whole = Fitter(fitter.model, used, fitter.noise)
     leading = on_all(whole, close, partial(run, progress=stages.until(60.0)))
-    weights, odd = without_odd(leading[0])
+    weights, odd = without_odd(leading[0], whole)
     whole.noise = replace(whole.noise, weights=weights)
     starts = {fit.cause: fit.point for fit in (*close, *leading)}
     finish = partial(final_fit, whole)

@@ -1,4 +1,4 @@
-"""The healthy truck of a log: own loads, noise at rest, odd shifts, and which shifts are fitted first."""
+"""The healthy truck of a log: own loads, noise at rest, and which shifts are fitted first."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from sil.shift_diagnosis.healthy import (
     loaded_fit,
     rest_noise_m,
     spread,
-    with_odd,
-    without_odd,
 )
 from sil.shift_diagnosis.linear import Noise
 from sil.shift_diagnosis.model import (
@@ -25,34 +23,6 @@ from sil.shift_diagnosis.model import (
 )
 from tests.bench.truck_logs import by_reference
 from tests.unit.sil.shift_diagnosis.fits import cut
-
-
-def test_few_odd_shifts_count_less() -> None:
-    weights = tuple(np.eye(10) for _ in range(20))
-
-    def fit(odd: int, unable: int = 0) -> SimpleNamespace:
-        misfit = np.where(np.arange(20) < odd, 300.0, 10.0)
-        count = np.where(np.arange(20) < 20 - unable, 10, 0)
-        return SimpleNamespace(linear=SimpleNamespace(misfit=misfit, count=count, weights=weights))
-
-    scaled, odd = without_odd(fit(2))
-    assert odd == [0, 1]
-    assert scaled[0][0, 0] == pytest.approx(0.1) and scaled[5] == pytest.approx(np.eye(10))
-    # what cannot be simulated leaves no residual, and is not explained either
-    assert without_odd(fit(0, unable=1))[1] == [19]
-    assert without_odd(fit(5, unable=1))[1] == [19]
-    # many are no oddity
-    assert without_odd(fit(5)) == (weights, [])
-
-
-def test_beside_odd_shifts_a_truck_is_not_consistent() -> None:
-    shifts = [SimpleNamespace(begin_s=10.0 * k, source="logs/a.log") for k in range(20)]
-    verdict, findings = with_odd("consistent", ["other"], shifts, [3, 7])
-    assert verdict == "cannot_tell"
-    assert findings[0].startswith("2 of 20 shifts fit far worse than the others")
-    assert findings[0].endswith("they begin at 30.00 s of a.log, 70.00 s of a.log")
-    assert findings[1:] == ["other"]
-    assert with_odd("named", [], shifts, [3])[0] == "named"
 
 
 def test_one_pulse_at_rest_shows_no_noise() -> None:
