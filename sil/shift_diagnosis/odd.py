@@ -17,7 +17,8 @@ import numpy as np
 
 from sil.shift_diagnosis.evolution import evolved
 from sil.shift_diagnosis.fit import UNABLE, Fit, Fitter
-from sil.shift_diagnosis.linear import Floats, Linear, linearise, point_of
+from sil.shift_diagnosis.linear import LOAD_SHARE, Floats, Linear, linearise, point_of
+from sil.shift_diagnosis.loads import BARRIERS, CONE
 from sil.shift_diagnosis.model import JITTER_S, LEAST_NOISE_M, Point
 from sil.shift_diagnosis.shifts import Shift
 
@@ -83,19 +84,22 @@ def without_odd(best: Fit, fitter: Fitter) -> tuple[tuple[Floats, ...], list[int
 def is_scatter(fitter: Fitter, best: Fit, k: int, limit: float) -> bool:
     """Return whether shift k is explained, up to a chi squared per number, by its own quantities.
 
-    Those are the model's of a shift, with all of their scatter, and no more unusual than RARE.
+    Those are the model's of a shift, with all of their scatter, and its loads where those differ from
+    shift to shift; together no more unusual than RARE.
     """
     model, shift = fitter.model, fitter.shifts[k]
+    sds = model.each | {name: LOAD_SHARE * model.unit[name] for name in fitter.noise.loads}
     active = () if best.cause is None else ((best.cause, best.size),)
     point = Point(point_of(model, fitter.names, best.values), active)
-    names = [n for n in model.each if not n.startswith("cone") or n == f"cone_{shift.end}"]
+    acting = {"pull"} if shift.end == "N" else {"mesh", f"cone_{shift.end}"}
+    names = [name for name in sds if name not in {*BARRIERS, *CONE} - acting]
 
     def costs(own: list[Floats]) -> Floats:
         points = []
         for z in own:
             moved = point
             for name, by in zip(names, z.tolist(), strict=True):
-                moved = moved.moved(name, by * model.each[name])
+                moved = moved.moved(name, by * sds[name])
             points.append(moved)
         x, v, done = model.predict([shift], points)
         variance = max(fitter.noise.position_m, LEAST_NOISE_M) ** 2 + (JITTER_S * v[0]) ** 2

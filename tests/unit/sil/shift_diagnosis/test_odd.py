@@ -123,6 +123,14 @@ def test_what_own_quantities_explain_is_scatter(
     assert is_scatter(fitter, fitter.at(None, zeros), k, LIMIT) == is_usual
 
 
+def test_loads_are_scatter_where_they_differ_from_shift_to_shift(whole: Fitter) -> None:
+    zeros, k = np.zeros(len(whole.names)), into_gear(whole)
+    fitter = moved(whole, k, {"mesh": 600.0})
+    assert not is_scatter(fitter, fitter.at(None, zeros), k, LIMIT)
+    fitter.noise = replace(fitter.noise, loads=("mesh", "pull"))
+    assert is_scatter(fitter, fitter.at(None, zeros), k, LIMIT)
+
+
 def test_a_sensor_that_sticks_is_no_scatter(whole: Fitter) -> None:
     zeros, k = np.zeros(len(whole.names)), into_gear(whole)
     at = int(np.argmax(np.abs(whole.shifts[k].position_m) > 1e-3))
