@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import erfc, sqrt
 from pathlib import Path
 from typing import Final
 
@@ -26,6 +27,8 @@ ODD, MOST_ODD = 3.0, 0.15
 """Chi squared per number, of the shifts' median, from which a shift is odd; and how many may be."""
 IMPULSES: Final[Floats] = np.linspace(-3.5, 3.5, 29)
 """Deviations of a cone's impulse that an odd shift is tried with, in standard deviations."""
+UNUSUAL: Final = 1e-3
+"""Probability below which as many deviations as large are no scatter."""
 RARE: Final = 30.0
 """Chi squared of a shift's own quantities that one shift in ten thousand exceeds."""
 GENERATIONS: Final = 40
@@ -40,17 +43,16 @@ def _limit(linear: Linear) -> tuple[Floats, float]:
 def own_impulses(fitter: Fitter, healthy: Fit, shifts: Sequence[Shift]) -> list[Shift]:
     """Return the shifts, those odd ones into gear with the impulse of their own that explains them.
 
-    Where another one, within its scatter, does; and all as they were, where many are odd.
+    Where another one, within its scatter, does; all as they were, where more are odd, or by more,
+    than scatter makes.
     """
     model, noise = fitter.model, fitter.noise
     linear = linearise(model, shifts, healthy.values, noise=noise)
     each, limit = _limit(linear)
-    odd = np.flatnonzero(each > limit)
-    found = list(shifts)
-    if len(odd) > max(2.0, MOST_ODD * len(shifts)):
-        return found
-    for k in odd.tolist():
-        if shifts[k].end not in "BF":
+    into_gear = [k for k, shift in enumerate(shifts) if shift.end in "BF"]
+    found, deviations = list(shifts), list[float]()
+    for k in into_gear:
+        if each[k] <= limit:
             continue
         sd = model.each[f"cone_{shifts[k].end}"]
         speeds = shifts[k].difference_rad_s * np.exp(sd * IMPULSES)
@@ -60,7 +62,16 @@ def own_impulses(fitter: Fitter, healthy: Fit, shifts: Sequence[Shift]) -> list[
         best = int(np.argmin(costs))
         if costs[best] < limit * own.count[best]:
             found[k] = tried[best]
-    return found
+            deviations.append(float(IMPULSES[best]))
+    return found if is_usual(deviations, len(into_gear)) else list(shifts)
+
+
+def is_usual(deviations: Sequence[float], count: int) -> bool:
+    """Return whether the largest of so many normal deviations may be these."""
+    from scipy.special import bdtrc
+
+    largest = sorted(map(abs, deviations), reverse=True)
+    return all(bdtrc(j, count, erfc(size / sqrt(2.0))) > UNUSUAL for j, size in enumerate(largest))
 
 
 def without_odd(best: Fit, fitter: Fitter) -> tuple[tuple[Floats, ...], list[int]]:

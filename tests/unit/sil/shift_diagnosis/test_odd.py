@@ -14,7 +14,7 @@ from sil.shift_diagnosis import odd
 from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.linear import Noise
 from sil.shift_diagnosis.model import PlantModel, Point
-from sil.shift_diagnosis.odd import is_scatter, own_impulses, with_odd, without_odd
+from sil.shift_diagnosis.odd import is_scatter, is_usual, own_impulses, with_odd, without_odd
 from tests.bench.truck_logs import truck_log
 from tests.unit.sil.shift_diagnosis.fits import cut
 
@@ -92,6 +92,16 @@ def test_an_unusual_impulse_is_found_and_nothing_else_is_touched(whole: Fitter) 
     assert true < found[k].difference_rad_s < 0.97 * unusual.shifts[k].difference_rad_s
     explained = Fitter(whole.model, found, whole.noise).at(None, zeros).linear
     assert explained.misfit[k] < LIMIT * explained.count[k]
+
+
+def test_as_many_deviations_as_large_as_chance_makes_are_usual() -> None:
+    assert is_usual([], 5) and is_usual([-3.0], 6) and is_usual([1.75, -3.0], 6)
+    assert not is_usual([3.5, -3.5], 5)
+    assert is_usual([3.5], 60) and not is_usual([3.0] * 5, 60)
+    rng = np.random.default_rng(1)
+    drawn = np.abs(rng.normal(size=(2000, 30)))
+    unusual = sum(not is_usual(own[own > 2.0], 30) for own in drawn)
+    assert 1 <= unusual <= 10  # 1e-3 for each of the largest
 
 
 def test_many_odd_shifts_are_no_scatter(whole: Fitter) -> None:
