@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from sil.diagnosis.verdict import RIVAL_SHARE, UNNAMED
+from sil.files.quantity import counted
 from sil.shift_diagnosis.fit import Fit
 from sil.shift_diagnosis.linear import (
     SIZE_PRIOR,
@@ -48,6 +49,8 @@ STRANGE: Final = 3.0
 """Deviation of a truck's own quantity that is not called healthy without doubt."""
 DOUBTED: Final = 0.2
 """Probability of a healthy truck below which it is not called consistent."""
+SPREAD: Final = 0.1
+"""Probability of all causes that are not reported from which it is stated."""
 SCANNED: Final[Floats] = 0.05 * 1.15 ** np.arange(50.0)
 """Sizes that are tried for being noticed, in typical ones."""
 NOTICED: Final = 1.28
@@ -140,13 +143,18 @@ class ShiftDiagnosis:
         if self.verdict not in ("named", "ambiguous"):
             return []
         wrong = {name: p for name, p in self.probabilities.items() if name != "healthy"}
-        # of many causes that are alike, none may reach the usual share
-        least = CERTAIN if self.verdict == "named" else min(RIVAL_SHARE, 0.5 * max(wrong.values()))
+        least = CERTAIN if self.verdict == "named" else _least_reported(wrong)
         found: dict[str, Judged] = {}
         for item in self.judged:
             if wrong.get(item.id, 0.0) >= least:
                 found.setdefault(item.id, item)
         return list(found.values())
+
+
+def _least_reported(wrong: Mapping[str, float]) -> float:
+    """Return the probability from which a cause is reported, of those that cannot be distinguished."""
+    # of many causes that are alike, none may reach the usual share
+    return min(RIVAL_SHARE, 0.5 * max(wrong.values()))
 
 
 def weighed(
@@ -249,7 +257,7 @@ def verdict_of(
         )
         return UNNAMED, [text, *_where(best)]
     if probabilities["healthy"] <= ALARM:
-        return ("named" if wrong[top] >= CERTAIN else "ambiguous"), []
+        return ("named", []) if wrong[top] >= CERTAIN else ("ambiguous", _spread(wrong))
     if healthy.chi2 > EXPLAINED:
         return UNNAMED, [f"without a cause {healthy.chi2:.1f} times the noise remain"]
     unseen = list(_unnoticed(detectable))
@@ -264,6 +272,17 @@ def verdict_of(
         shown = ", ".join(f"{name} {p:.2f}" for name, p in wrong.items() if p > 0.05)
         unseen.insert(0, f"too much for a healthy truck, too little for an alarm: {shown}")
     return ("cannot_tell" if odd or probabilities["healthy"] < DOUBTED else "consistent"), unseen
+
+
+def _spread(wrong: Mapping[str, float]) -> list[str]:
+    """Return what is to be said of the causes that are not reported, if they are not improbable."""
+    others = [p for p in wrong.values() if p < _least_reported(wrong)]
+    if sum(others) < SPREAD:
+        return []
+    return [
+        f"the other {sum(others):.2f} of the probability is spread over "
+        f"{counted(len(others), 'cause')}, none above {max(others):.2g}"
+    ]
 
 
 def _unnoticed(detectable: Sequence[Detectable]) -> Iterator[str]:

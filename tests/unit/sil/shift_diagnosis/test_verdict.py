@@ -18,6 +18,7 @@ from sil.shift_diagnosis.verdict import (
     Judged,
     detectable_of,
     distances,
+    verdict_of,
     weighed,
 )
 
@@ -134,3 +135,20 @@ def test_many_causes_that_do_next_to_nothing_are_no_alarm_together() -> None:
     assert found["healthy"] > ALARM
     # by Bayes' rule: 0.5 e^-6 against 0.5 / 20 (1 + 19 e^-6)
     assert found["healthy"] == pytest.approx(0.0452, abs=1e-3)
+
+
+@pytest.mark.parametrize(("behind", "spread"), [(20.0, True), (1e4, False)])
+def test_probability_of_causes_that_are_not_reported_is_stated(behind: float, spread: bool) -> None:
+    causes = list({cause.effect.id: cause for cause in catalogue()}.values())[:20]
+    hypotheses = [judged(cause, behind * (k > 1), 120) for k, cause in enumerate(causes)]
+    found = weighed([*hypotheses, judged(None, 100.0, 120)], 20)
+    probabilities = {item.id: item.probability for item in found}
+    shown = [Detectable(cause, 1.0, ()) for cause in causes]
+    verdict, findings = verdict_of(found, probabilities, shown)
+    assert verdict == "ambiguous"
+    others = sorted(p for name, p in probabilities.items() if name != "healthy")[:-2]
+    assert (sum(others) > 0.1) == spread
+    assert findings == spread * [
+        f"the other {sum(others):.2f} of the probability is spread over 18 causes, none above "
+        f"{max(others):.2g}"
+    ]
