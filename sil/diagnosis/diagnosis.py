@@ -21,6 +21,7 @@ from sil.diagnosis.causes import Cause, causes_of, diagnosis_json, extended_mode
 from sil.diagnosis.checks import Finding, check_strokes, observed
 from sil.diagnosis.next_experiment import NextExperiment, next_experiment
 from sil.diagnosis.residuals import Gain, gain_between
+from sil.diagnosis.screening import Screening
 from sil.diagnosis.search import Search
 from sil.diagnosis.split import odd_ones_in, split
 from sil.diagnosis.structure import Structure, structure_of
@@ -52,7 +53,7 @@ FALSE_ALARM_BASIS = (
     "python -m tests.bench hidden_effects"
 )
 
-Noticed = dict[str, dict[str, float | str]]
+Noticed = dict[str, dict[str, Any]]
 """By cause: parameter, the smallest value noticed, neutral value, unit, size in typical sizes."""
 
 
@@ -222,14 +223,19 @@ def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
 
 
 def smallest_noticed(search: Search, strokes: int) -> Noticed:
-    """Return the smallest size of each cause that would have been claimed, by linear scores.
+    """Return the smallest size of each cause that would have been claimed, by linear scores there.
 
-    A cause that is missing would not have been noticed within its physical bounds.
+    In the form of the cause in which that is least, with the values of its other parameters that are
+    stated. One that is missing would not have been noticed within its physical bounds.
     """
     least = max(CLAIM, CLAIM_PER_STROKE * strokes) * len(search.training) / strokes
     found: Noticed = {}
+    if not search.scores:
+        return found
+    screening = Screening(search.fitter, search.healthy)
     for score in search.scores:
-        value, main = score.smallest(least), score.candidate.parameters[0]
+        main, *more = score.candidate.parameters
+        value, others = screening.smallest(score, least), [p.name for p in more]
         if value is None:
             continue
         size = abs(value - main.neutral) / main.typical
@@ -241,6 +247,8 @@ def smallest_noticed(search: Search, strokes: int) -> Noticed:
                 "neutral": main.neutral,
                 "unit": main.unit,
                 "size": size,
+                "form": score.candidate.variant,
+                "others": dict(zip(others, score.start[1:], strict=True)),
             }
     return found
 

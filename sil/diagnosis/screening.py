@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import copysign, inf, sqrt
+from typing import Final
 
 import numpy as np
 
@@ -22,6 +24,11 @@ from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.model import CampaignModel
 from sil.fitting.refused import shown
+
+ROUNDS: Final = 12
+"""Values that are tried for the smallest size that would be noticed."""
+CLOSE: Final = 0.1
+"""Share by which what it changes may differ from what would be noticed."""
 
 
 @dataclass(frozen=True)
@@ -69,50 +76,98 @@ def change_of(
     return changes
 
 
-def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
-    """Score of every candidate on top of a fit, largest gain first.
+class Screening:
+    """Scores of candidates on top of one fit."""
 
-    A start that cannot be simulated scores nothing; the fitter's refusals count it.
-    """
-    model = fitter.model
-    blocks = fit.blocks
-    normal, gradient, inner = arrow(blocks, fit.stroke, fit.shared, fit.layout)
-    # what is at its bound and presses outward imitates nothing
-    outward = gradient * fit.shared > 0.0
-    healthy = np.arange(len(normal)) < fit.layout.healthy
-    moving = ~(healthy & outward & (np.abs(fit.shared) >= FARTHEST_SD - 1e-9))
-    solved = np.zeros_like(normal)
-    solved[np.ix_(moving, moving)] = np.linalg.pinv(normal[np.ix_(moving, moving)])
+    def __init__(self, fitter: Fitter, fit: FitResult) -> None:
+        self.fitter, self.fit = fitter, fit
+        normal, self._gradient, self._inner = arrow(fit.blocks, fit.stroke, fit.shared, fit.layout)
+        # what is at its bound and presses outward imitates nothing
+        outward = self._gradient * fit.shared > 0.0
+        healthy = np.arange(len(normal)) < fit.layout.healthy
+        moving = ~(healthy & outward & (np.abs(fit.shared) >= FARTHEST_SD - 1e-9))
+        self._solved = np.zeros_like(normal)
+        self._solved[np.ix_(moving, moving)] = np.linalg.pinv(normal[np.ix_(moving, moving)])
+
+    def score(self, candidate: Candidate, start: tuple[float, ...]) -> Score | None:
+        """Return what a candidate would gain by a start; None if that cannot be simulated.
+
+        A start that cannot be simulated is counted by the fitter's refusals.
+        """
+        fit, refusals = self.fit, self.fitter.refusals
+        try:
+            changes = change_of(self.fitter.model, fit, candidate, start)
+        except IntegrationError as error:
+            refusals.add((*fit.candidates, candidate), error)
+            return None
+        refusals.add((*fit.candidates, candidate), None)
+        slope = square = 0.0
+        cross = np.zeros_like(self._gradient)
+        for k, c in changes.items():
+            block, (inverse, hus, gs) = fit.blocks[k], self._inner[k]
+            held = (np.abs(fit.stroke[k]) >= FARTHEST_SD) & (gs == 0.0)
+            bc = np.where(held, 0.0, block.scatter.T @ c)
+            slope += float(c @ block.residual) - float(bc @ inverse @ gs)
+            square += float(c @ c) - float(bc @ inverse @ bc)
+            cross += block.shared.T @ c - hus @ (inverse @ bc)
+        slope -= float(cross @ self._solved @ self._gradient)
+        square -= float(cross @ self._solved @ cross)
+        free = square / max(1.0, float(sum(c @ c for c in changes.values())))
+        if free <= 1e-9:
+            return Score(candidate, start, 0.0, 0.0, 0.0, 0.0)
+        amount = slope / square
+        either = candidate.parameters[0].sign == 0
+        gain = 0.5 * slope * amount if amount > 0.0 or either else 0.0
+        return Score(candidate, start, gain, amount, square, free)
+
+    def smallest(self, score: Score, gain: float) -> float | None:
+        """Return the value of the main parameter that would gain so much; None if out of its bounds.
+
+        What a cause does is not linear in its size, so each value found is tried itself; where both
+        signs are physical, that of the less noticeable one is returned.
+        """
+        first, main = score.smallest(gain), score.candidate.parameters[0]
+        if first is None:
+            return None
+        by = first - main.neutral
+        sides = (by, -by) if main.sign == 0 else (by,)
+        found = [self._smallest(score, gain, side) for side in sides]
+        return None if None in found else max(found, key=lambda v: abs((v or 0.0) - main.neutral))
+
+    def _smallest(self, score: Score, gain: float, first: float) -> float | None:
+        """Return the value that would gain so much on one side, from a first difference to neutral."""
+        main, others = score.candidate.parameters[0], score.start[1:]
+        too_small, enough, by = 0.0, inf, abs(first)
+        value = main.neutral + first
+        for k in range(ROUNDS):
+            value = main.neutral + copysign(by, first)
+            if not main.low <= value <= main.high:
+                return None
+            found = self.score(score.candidate, (value, *others))
+            if found is None or found.square == 0.0:
+                return None
+            ratio = sqrt(2.0 * gain / found.square)
+            if abs(ratio - 1.0) <= CLOSE:
+                break
+            too_small, enough = (by, enough) if ratio > 1.0 else (too_small, by)
+            by *= ratio
+            if (k % 2 or not too_small < by < enough) and 0.0 < too_small < enough < inf:
+                by = sqrt(too_small * enough)
+        return value
+
+
+def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
+    """Score of every candidate on top of a fit, by its best start, largest gain first."""
+    screening = Screening(fitter, fit)
     found = []
     for candidate in candidates:
         best: Score | None = None
         for start in candidate.starts[::2]:
-            try:
-                changes = change_of(model, fit, candidate, start)
-            except IntegrationError as error:
-                fitter.refusals.add((*fit.candidates, candidate), error)
+            score = screening.score(candidate, start)
+            if score is None or (best and score.free == 0.0):
                 continue
-            fitter.refusals.add((*fit.candidates, candidate), None)
-            slope = square = 0.0
-            cross = np.zeros(len(normal))
-            for k, c in changes.items():
-                block, (inverse, hus, gs) = blocks[k], inner[k]
-                held = (np.abs(fit.stroke[k]) >= FARTHEST_SD) & (gs == 0.0)
-                bc = np.where(held, 0.0, block.scatter.T @ c)
-                slope += float(c @ block.residual) - float(bc @ inverse @ gs)
-                square += float(c @ c) - float(bc @ inverse @ bc)
-                cross += block.shared.T @ c - hus @ (inverse @ bc)
-            slope -= float(cross @ solved @ gradient)
-            square -= float(cross @ solved @ cross)
-            free = square / max(1.0, float(sum(c @ c for c in changes.values())))
-            if free <= 1e-9:
-                best = best or Score(candidate, start, 0.0, 0.0, 0.0, 0.0)
-                continue
-            amount = slope / square
-            either = candidate.parameters[0].sign == 0
-            gain = 0.5 * slope * amount if amount > 0.0 or either else 0.0
-            if best is None or gain > best.gain or best.free == 0.0:
-                best = Score(candidate, start, gain, amount, square, free)
+            if best is None or score.gain > best.gain or best.free == 0.0:
+                best = score
         if best is not None:
             found.append(best)
     return sorted(found, key=lambda score: -score.gain)

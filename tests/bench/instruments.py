@@ -105,10 +105,17 @@ def outcome(causes: list[dict[str, Any]], found: dict[str, Any]) -> str:
 
 
 def _noticeable(cause: dict[str, Any], found: dict[str, Any]) -> bool:
-    """Return whether a cause of this size should have been noticed, by the diagnosis' own limits."""
+    """Return whether a cause of this size should have been noticed, by the diagnosis' own limits.
+
+    Those say nothing of a cause with other values of its other parameters.
+    """
     limits = found["smallest_noticed"].get(cause["id"])
     if limits is None:
         return False
+    for name, value in limits.get("others", {}).items():
+        true = cause["parameters"].get(name, {"value": value})["value"]
+        if not 0.7 <= true / value <= 1.4:
+            return False
     own = cause["parameters"].get(limits["parameter"])
     if own is None:
         return bool(limits["size"] < 1.0)

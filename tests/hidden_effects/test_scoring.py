@@ -106,6 +106,9 @@ def test_an_answer_with_other_instruments_is_right_unable_or_wrong(
     answer = {"verdict": verdict, "rivals": rivals, "causes": [cause(*item) for item in found]}
     hidden = [cause("free_play")]
     assert outcome(hidden, answer | {"smallest_noticed": {"free_play": limit}}) == expected
+    other = limit | {"others": {"travel_m": 1e-3}}  # stated for another value than the hidden one's
+    unsaid = "unable" if verdict == "consistent" else expected
+    assert outcome(hidden, answer | {"smallest_noticed": {"free_play": other}}) == unsaid
     small = answer | {"smallest_noticed": {"free_play": limit | {"value": 3e-4}}}
     assert outcome(hidden, small) == ("unable" if verdict == "consistent" else expected)
     assert (outcome([], answer) == "wrong") == bool(found)

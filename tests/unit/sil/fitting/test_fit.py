@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plant.parameters import Parameter, ParameterSet, load
-from sil.diagnosis.screening import screen
+from sil.diagnosis.screening import CLOSE, Screening, screen
 from sil.fitting.fit import Fitter
 from sil.fitting.floor import misfit, strained
 from sil.fitting.hypotheses import candidates
@@ -37,6 +37,35 @@ def test_a_clean_campaign_stands_on_the_floor(clean_model) -> None:
         assert channel.rms < channel.band + 0.02, name
     assert np.all(np.abs(fit.shared) < 4.0)
     assert screen(Fitter(clean_model), fit, list(ALL.values()))[0].gain < 12.0
+
+
+def test_the_smallest_size_gains_what_it_should_whatever_the_start_said(clean_model) -> None:
+    """By the start alone, these were up to ten times too small: what a cause does is not linear."""
+    fitter = Fitter(clean_model)
+    fit = fitter.fit()
+    screening, tried = Screening(fitter, fit), []
+    for score in screen(
+        fitter, fit, [ALL[name] for name in ("exhaust_clog", "piston_leak", "free_play")]
+    ):
+        value = screening.smallest(score, 15.0)
+        assert value is not None
+        main, others = score.candidate.parameters[0], score.start[1:]
+        gains = [
+            0.5 * screening.score(score.candidate, (v, *others)).square
+            for v in ((value, 2.0 * main.neutral - value) if main.sign == 0 else (value,))
+        ]
+        # of two signs the less noticeable one is stated
+        assert gains[0] == pytest.approx(15.0, rel=2.0 * CLOSE + CLOSE**2)
+        assert min(gains) > 0.75 * gains[0]
+        tried.append(value / score.smallest(15.0))
+    assert max(np.abs(np.log(np.abs(tried)))) > 0.1  # it made a difference
+
+
+def test_a_size_beyond_its_bounds_would_not_be_noticed(clean_model) -> None:
+    fitter = Fitter(clean_model)
+    fit = fitter.fit()
+    (score,) = screen(fitter, fit, [ALL["exhaust_clog"]])
+    assert Screening(fitter, fit).smallest(score, 1e9) is None
 
 
 def test_a_hidden_effect_is_recovered_with_its_score_first(tmp_path) -> None:
