@@ -47,6 +47,13 @@ class Shown:
     dependence: dict[str, dict[str, float]]
     strokes: dict[str, float]
 
+    def largest_correlation(self) -> str:
+        """Return the pair of channels with the largest correlation, in words."""
+        if not self.cross:
+            return ""
+        one, two = max(self.cross, key=lambda pair: abs(self.cross[pair]))
+        return f"{one} with {two} {self.cross[one, two]:+.2f}"
+
 
 CONDITIONS: dict[str, Callable[[StrokeConditions], str]] = {
     "supply": lambda c: f"{c.supply_pressure_pa / 1e5:.3g} bar",
