@@ -54,7 +54,8 @@ FALSE_ALARM_BASIS = (
 )
 
 Noticed = dict[str, dict[str, Any]]
-"""By cause: parameter, the smallest value noticed, neutral value, unit, size in typical sizes."""
+"""By cause: parameter, the smallest value noticed, neutral value, unit, size in typical sizes, form of the
+cause, values of its other parameters."""
 
 
 @dataclass
