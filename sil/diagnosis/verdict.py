@@ -63,6 +63,10 @@ SLIGHT_SHARE = 0.02
 """... and not claimed at all if it gains less than this share of what the healthy model leaves: it
 corrects the form of the other one's extension."""
 
+EXACT = 0.005
+"""Share of what a cause does to which its form is trusted: a further one that gains less than that error
+would leave corrects the form of the first."""
+
 LEFT = (0.005, 0.05)
 """Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
 the second on it is likelier that none of the named acts."""
@@ -299,7 +303,8 @@ def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
             return not item.ids
         needed = least
         if len(item.ids) > 1:
-            needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
+            inexact = 0.5 * EXACT**2 * healthy.whole.excess
+            needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond, inexact)
         for name in item.ids:
             gain, held = _gains_of(item, judged, name)
             if gain < needed or held <= 0.0:
