@@ -36,6 +36,8 @@ ARGUMENTS = (
     argument("--model", "parameter set or model file", default="nominal", metavar="MODEL"),
     argument("--map", "meaning of the signals of logs with another layout (TOML)", "FILE"),
     argument("--dbc", "database with the signals that --map names", "FILE"),
+    argument("--workers", "processes, for several trucks (default 1)", "N", type=int, default=1),
+    argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
     argument(
         "--out", "folder for the results, made if missing [runs/NAME-watch]", "DIR", type=Path
     ),
@@ -58,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.shift_diagnosis.watch_page import write_watch
     from sil.shift_diagnosis.watched_files import log_files
 
+    if arguments.workers < 1:
+        raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     limits = dict(map(_limit, arguments.limit))
     files = list(log_files(arguments.target))
     layout = arguments.map, arguments.dbc
@@ -71,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         watch = Watch(folder / STORE, parameters, mapping)
         try:
             with Progress("watching", "logs") as progress:
-                found = watch.take(files, progress)
+                found = watch.take(files, progress, arguments.workers, arguments.cluster)
             again = shlex.join(["opc4", *sys.argv[1:]])
             values = finite(write_watch(watch.trucks(), limits, folder, again))
         except (InputError, OSError):

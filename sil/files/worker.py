@@ -25,12 +25,12 @@ def _call(item: Any) -> Any:
 
 
 def in_processes(
-    work: Callable[[Item], Answer], items: Sequence[Item], workers: int
+    work: Callable[[Item], Answer], items: Sequence[Item], workers: int, then: str = ""
 ) -> Iterator[Answer]:
     """Yield work(item) of every item from forked processes, in the order of the items.
 
     The work may hold anything (it is inherited by the fork); items and answers are pickled.
-    Raises RunError if a process dies, and what the work raises.
+    Raises RunError if a process dies, with what to do `then`, and what the work raises.
     """
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
@@ -43,7 +43,7 @@ def in_processes(
         yield from pool.map(_call, items)
         pool.shutdown()
     except BrokenProcessPool:
-        raise RunError("a worker process died") from None
+        raise RunError("; ".join(filter(None, ["a worker process died", then]))) from None
     finally:
         _WORK.remove(work)
         pool.shutdown(wait=False, cancel_futures=True)

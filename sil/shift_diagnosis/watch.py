@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from plant.parameters import ParameterSet
+from sil.files.cluster import on_cluster
 from sil.files.progress import Progress
+from sil.files.worker import in_processes
 from sil.j1939.mapping import SignalMapping
 from sil.shift_diagnosis.change import Change
 from sil.shift_diagnosis.confirm import Confirming
@@ -35,6 +37,7 @@ AT_ONCE: Final = 200
 ODD: Final = 8.0
 """Chi squared by that of the truck's usual shifts from which a shift is odd: reported, not tracked."""
 MOST_ODD: Final = 200
+CONTINUE: Final = "the logs taken so far are stored; the same command goes on"
 
 
 def tracked_causes() -> list[Cause]:
@@ -47,6 +50,21 @@ def tracked_causes() -> list[Cause]:
     return list(found.values())
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What a log says of its truck; odd: number, time in s and chi squared of shifts not tracked."""
+
+    track: Track
+    reference: Reference | None
+    changes: list[Change]
+    taken: Taken
+    odd: list[tuple[int, float, float]]
+
+
+State = tuple[str, Path, Track | None, Reference | None]
+"""A truck, its next log, and what is known of the truck so far."""
+
+
 class Watch:
     """A store, and the model that its trucks' shifts are compared with.
 
@@ -56,9 +74,7 @@ class Watch:
     def __init__(
         self, store: Path, parameters: ParameterSet, mapping: SignalMapping | None = None
     ) -> None:
-        self._parameters, self._mapping = parameters, mapping
-        self._causes = tracked_causes()
-        self._models: dict[bool, PlantModel] = {}
+        self._judge = LogJudge(parameters, mapping)
         self._store = Store(store, parameters)
 
     @property
@@ -75,42 +91,89 @@ class Watch:
         return self._store.trucks()
 
     def take(
-        self, files: Sequence[tuple[str, Path]], progress: Progress
+        self,
+        files: Sequence[tuple[str, Path]],
+        progress: Progress,
+        workers: int = 1,
+        cluster: str | None = None,
     ) -> list[tuple[str, Change]]:
         """Take the logs that the store does not have; return the changes found, by truck.
 
         Those of a truck are taken by the time at which they begin, or in the order given where one
-        of them has no time of day. Raises InputError for a log that cannot be read; those before it
-        are stored.
+        of them has no time of day; those of several trucks side by side on worker processes or a
+        cluster. Raises InputError for a log that cannot be read, RunError if a worker dies or the
+        cluster is not there; those before it are stored.
         """
         new: dict[str, dict[Path, None]] = {}
         for truck, path in files:
             if not self._store.has_path(truck, path):
                 new.setdefault(truck, {})[path] = None
-        ordered = [(truck, path) for truck, own in new.items() for path in in_time(own)]
+        ordered = [[(truck, path) for path in in_time(own)] for truck, own in new.items()]
+        if workers > 1 or cluster is not None:
+            together = [[own for own in one if own] for one in zip_longest(*ordered)]
+        else:
+            together = [[own] for one in ordered for own in one]
         found: list[tuple[str, Change]] = []
-        for number, (truck, path) in enumerate(ordered):
-            progress(float(number), float(len(ordered)))
-            found += [(truck, change) for change in self._take_log(truck, path)]
+        done, size = 0, sum(map(len, ordered))
+        for several in together:
+            for truck, changes in self._take_logs(several, workers, cluster):
+                progress(float(done), float(size))
+                found += [(truck, change) for change in changes]
+                done += 1
         return found
 
-    def _take_log(self, truck: str, path: Path) -> list[Change]:
-        with self._store.transaction():
-            if self._store.has_content(truck, path):
-                return []
-            track, reference = self._store.truck(truck)
-            first = 0 if track is None else track.shifts
-            if is_observations(path):
-                track, changes, taken = observed(path, track)
+    def _take_logs(
+        self, logs: Sequence[tuple[str, Path]], workers: int, cluster: str | None
+    ) -> Iterator[tuple[str, list[Change]]]:
+        """Judge and store one log each of some trucks."""
+        asked: list[State] = []
+        for truck, path in logs:
+            with self._store.transaction():
+                known = self._store.has_content(truck, path)
+            if known:
+                yield truck, []
             else:
-                track, reference, changes, taken = self._shifts(truck, path, track, reference)
-            self._store.add_log(truck, path, first, taken)
-            self._store.put_truck(truck, track, reference)
-        return changes
+                asked.append((truck, path, *self._store.truck(truck)))
+        firsts = [0 if track is None else track.shifts for _t, _p, track, _r in asked]
+        if cluster is not None:
+            answers = on_cluster(self._judge, asked, cluster, CONTINUE)
+        elif workers > 1 and len(asked) > 1:
+            answers = in_processes(self._judge, asked, min(workers, len(asked)), CONTINUE)
+        else:
+            answers = map(self._judge, asked)
+        for (truck, path, _track, _reference), first, own in zip(
+            asked, firsts, answers, strict=True
+        ):
+            with self._store.transaction():
+                self._store.has_content(truck, path)  # refuses what another truck had just now
+                for number, time_s, chi2 in own.odd:
+                    self._store.add_odd(truck, number, time_s, path, chi2)
+                self._store.add_log(truck, path, first, own.taken)
+                self._store.put_truck(truck, own.track, own.reference)
+            yield truck, own.changes
 
-    def _shifts(
-        self, truck: str, path: Path, track: Track | None, reference: Reference | None
-    ) -> tuple[Track, Reference | None, list[Change], Taken]:
+
+class LogJudge:
+    """The model that a truck's shifts are compared with; works in another process, too."""
+
+    def __init__(self, parameters: ParameterSet, mapping: SignalMapping | None) -> None:
+        self._parameters, self._mapping = parameters, mapping
+        self._causes = tracked_causes()
+        self._models: dict[bool, PlantModel] = {}
+
+    def __reduce__(self) -> tuple[type[LogJudge], tuple[ParameterSet, SignalMapping | None]]:
+        """Return what another process makes it from: the functions of causes cannot leave one."""
+        return LogJudge, (self._parameters, self._mapping)
+
+    def __call__(self, state: State) -> Judged:
+        """Return what a log says. Raises InputError for one that cannot be read."""
+        _truck, path, track, reference = state
+        if is_observations(path):
+            track, changes, taken = observed(path, track)
+            return Judged(track, reference, changes, taken, [])
+        return self._shifts(path, track, reference)
+
+    def _shifts(self, path: Path, track: Track | None, reference: Reference | None) -> Judged:
         """Judge the shifts of a log in the order in which they come."""
         track = track or Track.of(tuple(cause.effect.id for cause in self._causes))
         require_names(path, track, [cause.effect.id for cause in self._causes])
@@ -118,6 +181,7 @@ class Watch:
         faults: list[str] = []
         shifts = shifts_of(str(path), self._parameters, self._mapping, skipped, faults)
         changes: list[Change] = []
+        found_odd: list[tuple[int, float, float]] = []
         taken, confirm = Taken(), None
         while some := list(islice(shifts, AT_ONCE)):
             some = with_speeds(some, skipped)
@@ -140,8 +204,7 @@ class Watch:
             # after a lasting change every shift is far from the first ones: then none is odd
             odd &= bool(np.mean(odd) < 0.1)
             for k in np.flatnonzero(odd).tolist()[:MOST_ODD]:
-                number, begin_s = track.shifts, some[k].begin_s
-                self._store.add_odd(truck, number, begin_s, path, float(chi2[k]))
+                found_odd.append((track.shifts, some[k].begin_s, float(chi2[k])))
             n, usual = linear.units, ~odd
             linear = linear.without_cliffs()  # what is about to stick would count by far too much
             times = np.array([shift.begin_s for shift in some])
@@ -154,7 +217,8 @@ class Watch:
             changes += track.take(information, score, times[usual], confirm)
         changes += track.end_cell(confirm)
         left_out, fault = sum(skipped.values()), "".join(faults)
-        return track, reference, changes, replace(taken, skipped=left_out, fault=fault)
+        taken = replace(taken, skipped=left_out, fault=fault)
+        return Judged(track, reference, changes, taken, found_odd)
 
     def _present(
         self,

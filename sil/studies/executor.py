@@ -18,8 +18,9 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from can_dbc.errors import InputError, RunError
+from can_dbc.errors import InputError
 from sil.files.atomic import write_atomically
+from sil.files.cluster import on_cluster
 from sil.files.worker import in_processes
 from sil.studies.rows import RowResult, columns, run_row
 from sil.studies.study import LoadedStudy, Row, toml_value
@@ -121,46 +122,11 @@ def _results(
     yield from (run_chunk(study, piece) for piece in wanted[:1])
     rest = wanted[1:]
     if cluster is not None and wanted:
-        yield from _on_cluster(study, rest, cluster)
+        yield from on_cluster(partial(_run_sent_chunk, study), rest, cluster, CONTINUE)
     elif workers > 1 and rest:
-        try:
-            yield from in_processes(partial(run_chunk, study), rest, workers)
-        except RunError as error:
-            raise RunError(f"{error}; {CONTINUE}") from None
+        yield from in_processes(partial(run_chunk, study), rest, workers, CONTINUE)
     else:
         yield from (run_chunk(study, piece) for piece in rest)
-
-
-def _on_cluster(
-    study: LoadedStudy, wanted: list[tuple[int, int]], address: str
-) -> Iterator[list[str]]:
-    """Run chunks on a dask.distributed cluster, in order; its workers need this package.
-
-    Raises InputError without dask.distributed, RunError if the cluster is not there or is lost.
-    """
-    try:
-        from distributed import Client
-        from distributed.client import FutureCancelledError
-        from distributed.scheduler import KilledWorker
-    except ImportError:
-        raise InputError(
-            "--cluster: dask.distributed is not installed; expected the extra 'cluster'"
-        ) from None
-    try:
-        client = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise RunError(f"--cluster {address}: cannot be reached: {error}") from None
-    try:
-        if not client.scheduler_info()["workers"]:
-            raise RunError(f"--cluster {address}: the scheduler has no workers; expected some")
-        futures = client.map(partial(_run_sent_chunk, study), wanted, pure=False, retries=2)
-        for future in futures:
-            yield future.result()
-            future.release()
-    except (KilledWorker, FutureCancelledError, OSError) as error:
-        raise RunError(f"--cluster {address}: lost: {error}; {CONTINUE}") from None
-    finally:
-        client.close()
 
 
 def _run_sent_chunk(study: LoadedStudy, numbers: tuple[int, int]) -> list[str]:

@@ -6,6 +6,7 @@ import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,8 +21,9 @@ from sil.shift_diagnosis.linear import Linear, linearise
 from sil.shift_diagnosis.loads import BARRIERS, CONE
 from sil.shift_diagnosis.shifts import Shift
 from sil.shift_diagnosis.store import STORE, Reference
-from tests.bench.truck_logs import by_reference, trips
+from tests.bench.truck_logs import by_reference, trips, truck_log
 from tests.unit.sil.shift_diagnosis.test_shifts import without
+from tests.unit.sil.studies.test_executor import cluster
 
 
 def observations(path: Path, sizes: np.ndarray, seed: int, begin: int = 0) -> None:
@@ -212,8 +214,8 @@ def test_a_truck_that_no_longer_sends_its_speeds_is_watched(
         return linearise(model, shifts, *rest, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(watching, "linearise", watched)
-    with closing(watching.Watch(tmp_path / "store", load("nominal"))) as watch:
-        _track, after, _changes, taken = watch._shifts("a", silent, None, reference)
+    found = watching.LogJudge(load("nominal"), None)(("a", silent, None, reference))
+    after, taken = found.reference, found.taken
     assert asked == [BARRIERS + CONE]
     assert (after, taken.shifts) == (reference, 5)
 
@@ -244,3 +246,57 @@ def test_what_the_shifts_do_not_show_has_no_value(tmp_path: Path) -> None:
     assert values["valve_slow_close"] is None
     assert values["valve_open_delay"] is not None
     assert "not shown by these shifts" in (tmp_path / "out" / "report.html").read_text()
+
+
+def stored(out: Path) -> list[list[tuple[object, ...]]]:
+    """Return what a store holds, in an order that does not depend on who was judged first."""
+    with closing(sqlite3.connect(out / STORE)) as store:
+        return [
+            sorted(store.execute(f"select * from {table}").fetchall(), key=repr)
+            for table in ("model", "log", "truck", "odd")
+        ]
+
+
+def two_trucks(folder: Path) -> Path:
+    """A fleet of recorded shifts and of observations, of two logs and one each."""
+    fleet(folder)
+    for seed in (3, 5):
+        (folder / f"truck-{seed}").mkdir()
+        truck_log(folder / f"truck-{seed}" / "0.log", seed, 6)
+    return folder
+
+
+def test_trucks_judged_side_by_side_give_the_same_store(tmp_path: Path) -> None:
+    """By processes and by a cluster, also if a part was taken before."""
+    logs = two_trucks(tmp_path / "fleet")
+    ways = {"alone": [], "two": ["--workers", "2"]}
+    with cluster(tmp_path, workers=2) as address:
+        ways["cluster"] = ["--cluster", address]
+        for name, options in ways.items():
+            if name == "two":
+                main(["watch", str(logs / "one" / "0.csv"), "--out", str(tmp_path / name)])
+            assert main(["watch", str(logs), "--out", str(tmp_path / name), *options]) == 1
+    alone, *others = ([stored(tmp_path / name), watched(tmp_path / name)] for name in ways)
+    assert len(alone[0][1]) == 7 and len(alone[1]["trucks"]) == 4
+    assert all(other == alone for other in others)
+
+
+def watched(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((out / "watch.json").read_text())
+    return found
+
+
+def test_what_other_processes_refuse_is_one_line_and_the_rest_is_stored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = tmp_path / "fleet"
+    fleet(logs)
+    (logs / "two" / "0.csv").write_text("time_s,a,a_sd\n0,1,none\n")
+    out = tmp_path / "out"
+    assert main(["watch", str(logs), "--out", str(out), "--workers", "2"]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "two/0.csv: line 2" in error and "Traceback" not in error
+    assert [Path(row[0]).name for row in stored(out)[1]] == ["0.csv"]
+    assert main(["watch", str(logs), "--out", str(out), "--workers", "0"]) == 2
+    assert main(["watch", str(logs), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"]) == 3
+    assert "cannot be reached" in capsys.readouterr().err
