@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 
 from sil.campaign.campaign import Floats
 from sil.diagnosis.noise import rounding_of
+from sil.files.quantity import counted
 
 MOVING_SHARE: Final = 0.25
 """Share of a run at one position with forces above the median in motion: then it is no rest."""
+LONE, LONE_SHARE, MOVING_STILL = 5.0, 0.1, 0.3
+"""A single step is a jump if it is so much larger than any other and at least this share of the position's
+range, and if without it the body still moves over this share."""
 CONTINUED: Final = 0.25
 """A sample that two before, or two after it run straight on to, within this share of its height, is no spike."""
 
@@ -26,16 +30,16 @@ def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
     for name, values in zip(("position", "force", "pressure"), signals, strict=True):
         if np.isnan(values[0]):
             continue
-        flaws = {"spikes": _spikes(values)}
+        flaws = {"spike": _spikes(values)}
         if name == "position":
-            flaws["jumps"] = _jumps(values)
-        elif name == "force" and not np.any(_moves(signals[0])[flaws["spikes"]]):
+            flaws["jump"] = _jumps(values)
+        elif name == "force" and not np.any(_moves(signals[0])[flaws["spike"]]):
             # where the body turns, a drive may change its sign for a sample or two
             flaws = {}
         for what, rows in flaws.items():
             if len(rows):
                 where = f"the first at sample {first + rows[0] + 1}"
-                found.append(f"{file}: {name}: {len(rows)} {what}, {where}")
+                found.append(f"{file}: {name}: {counted(len(rows), what)}, {where}")
         if name == "position":
             what, (start, held) = name, _held(values, signals[1])
         else:
@@ -83,10 +87,21 @@ def _moves(position: Floats) -> NDArray[np.bool_]:
 
 
 def _jumps(position: Floats) -> NDArray[np.int64]:
-    """Return where a position [n] moves within one sample as far as it never does otherwise."""
-    steps = np.abs(np.diff(position))
+    """Return where a position [n] moves within one sample as far as it never does otherwise.
+
+    A record of few samples for a move has one such step, too, if the body moves once only.
+    """
+    moves = np.diff(position)
+    steps, span = np.abs(moves), float(np.ptp(position))
     usual = float(np.quantile(steps, 0.98)) + rounding_of(position)
-    return np.flatnonzero(steps > max(20.0 * usual, 0.02 * float(np.ptp(position))))
+    rows = np.flatnonzero(steps > max(20.0 * usual, 0.02 * span))
+    k = int(np.argmax(steps))
+    others = np.delete(steps, np.arange(max(k - 1, 0), min(k + 2, len(steps))))
+    if not len(rows) and steps[k] > max(LONE * float(others.max(initial=0.0)), LONE_SHARE * span):
+        without = position - np.where(np.arange(len(position)) > k, moves[k], 0.0)
+        if np.ptp(without) > MOVING_STILL * span:
+            return np.array([k])
+    return rows
 
 
 def _runs(values: Floats) -> Iterator[slice]:

@@ -111,7 +111,7 @@ def test_a_hole_in_the_force_is_refused(tmp_path) -> None:
             "force: 10 spikes, the first",
         ),
         ("f", lambda f: np.roll(f, 100), "0.2 s late against the position"),
-        ("x_mm", lambda x: x + 90.0 * (np.arange(len(x)) > 4000), "position: 1 jumps"),
+        ("x_mm", lambda x: x + 90.0 * (np.arange(len(x)) > 4000), "position: 1 jump,"),
     ],
 )
 def test_a_corrupted_record_is_no_diagnosis(tmp_path, column, change, why) -> None:
@@ -126,6 +126,21 @@ def test_a_stuck_force_is_found_though_a_pressure_is_added(tmp_path) -> None:
     changed(folder, "pressure_pa", lambda p: p + noise)
     changed(folder, "f", lambda f: np.where(abs(np.arange(len(f)) - 900) > 200, f, f[900]))
     assert "stuck or saturated" in diagnose_force(folder).doubts[0]
+
+
+def test_a_jump_is_found_between_fast_moves_too() -> None:
+    """At 100 Hz a move lasts a few samples, of which each is larger than most steps of the record."""
+    t = np.arange(2000) / 100.0
+    there = np.interp(t % 2.0, [0.5, 0.56, 1.5, 1.56], [0.0, 10e-3, 10e-3, 0.0])
+    position = there + np.random.default_rng(4).normal(0.0, 1e-5, len(t))
+    force, nothing = 100.0 * np.cos(np.pi * t), np.full(len(t), np.nan)
+
+    def found(values: np.ndarray) -> list[str]:
+        return odd_channels("a.csv", np.array([values, force, nothing]), 0)
+
+    assert found(position) == []
+    for by_m, texts in ((16e-3, ["a.csv: position: 1 jump, the first at sample 1291"]), (3e-3, [])):
+        assert found(position + by_m * (np.arange(len(t)) > 1290)) == texts
 
 
 def test_a_position_that_stays_though_the_force_moves_the_body_is_stuck() -> None:
@@ -152,7 +167,7 @@ def test_a_force_that_changes_its_sign_where_the_body_turns_has_no_spikes() -> N
     turn, middle = 1309, 1047  # cos(3 t) = 0, sin(3 t) = 0
     for row, found in (
         (turn, []),
-        (middle, [f"force: 1 spikes, the first at sample {middle + 1}"]),
+        (middle, [f"force: 1 spike, the first at sample {middle + 1}"]),
     ):
         changed = signals.copy()
         changed[1, row : row + 2] += 80.0
