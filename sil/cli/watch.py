@@ -15,7 +15,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, RunError
 from sil.cli.options import JSON, argument
 from sil.files.quantity import counted
 
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
                 found = watch.take(files, progress, arguments.workers, arguments.cluster)
             again = shlex.join(["opc4", *sys.argv[1:]])
             values = finite(write_watch(watch.trucks(), limits, folder, again))
-        except (InputError, OSError):
+        except (InputError, RunError, OSError):
             if not had_store and watch.is_empty:
                 (folder / STORE).unlink()
                 if is_new:

@@ -89,7 +89,7 @@ def _moves(position: Floats) -> NDArray[np.bool_]:
 def _jumps(position: Floats) -> NDArray[np.int64]:
     """Return where a position [n] moves within one sample as far as it never does otherwise.
 
-    A record of few samples for a move has one such step, too, if the body moves once only.
+    Where moves take few samples their steps are large, and only a step far larger than any other counts.
     """
     moves = np.diff(position)
     steps, span = np.abs(moves), float(np.ptp(position))

@@ -153,6 +153,8 @@ class Screening:
             by *= ratio
             if (k % 2 or not too_small < by < enough) and 0.0 < too_small < enough < inf:
                 by = sqrt(too_small * enough)
+        else:  # of two values that stay apart, the one that would be noticed
+            return main.neutral + copysign(enough, first) if enough < inf else None
         return value
 
 

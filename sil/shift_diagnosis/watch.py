@@ -135,7 +135,7 @@ class Watch:
             else:
                 asked.append((truck, path, *self._store.truck(truck)))
         firsts = [0 if track is None else track.shifts for _t, _p, track, _r in asked]
-        if cluster is not None:
+        if cluster is not None and asked:
             answers = on_cluster(self._judge, asked, cluster, CONTINUE)
         elif workers > 1 and len(asked) > 1:
             answers = in_processes(self._judge, asked, min(workers, len(asked)), CONTINUE)

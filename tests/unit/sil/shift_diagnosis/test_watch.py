@@ -298,5 +298,6 @@ def test_what_other_processes_refuse_is_one_line_and_the_rest_is_stored(
     assert "two/0.csv: line 2" in error and "Traceback" not in error
     assert [Path(row[0]).name for row in stored(out)[1]] == ["0.csv"]
     assert main(["watch", str(logs), "--out", str(out), "--workers", "0"]) == 2
-    assert main(["watch", str(logs), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"]) == 3
-    assert "cannot be reached" in capsys.readouterr().err
+    new = tmp_path / "new"
+    assert main(["watch", str(logs), "--out", str(new), "--cluster", "tcp://127.0.0.1:9"]) == 3
+    assert "cannot be reached" in capsys.readouterr().err and not new.exists()
