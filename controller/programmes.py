@@ -1,14 +1,14 @@
-"""Programmes of the valves over the expected release of the synchronizer, computed off line.
+"""Programmes of the neutral valve over the expected release of the synchronizer, computed off line.
 
-`programmes.csv` holds, for some supply pressures and closing delays, a row for each of a series of
-impulses and for each strength: when the plain push would be released, when the programme is, how the
-one follows the other, and the programme in steps of the firmware.
+`releases.csv` holds when the plain push is released, over the impulse, for some supply pressures.
+`programmes.csv` holds, for these pressures, a row for each of a series of such releases, and in it for
+each strength: when the programme is released, how the one follows the other, and its fillings.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from math import log
@@ -19,59 +19,66 @@ NEVER = 1 << 30
 CAREFUL, STRONG = range(2)
 """Strengths: for what a new unit knows; the first of those for a release and a meshing force that are
 well known, one for each level of the force."""
-LIGHTEST, PER_LEVEL, LEVELS = -0.08, 0.04, 7
+LIGHTEST, PER_LEVEL, LEVELS = 0.01, 0.09, 2
 """Meshing force of the first level, by which share more than that of the tables, and from one to the next."""
+LATE = STRONG + LEVELS
+"""The last strength: a single filling, for a release that became well known when the others had to begin."""
 
 
-class Pulse(NamedTuple):
-    """Steps from `start` on, before `end`, counted from the start of the push."""
+class Filling(NamedTuple):
+    """The neutral valve is commanded from a step on, counted from the start of the push.
+
+    end_s: when it is to have closed, from the command of the push on.
+    """
 
     start: int
-    end: int
+    end_s: float
 
 
 class Programme(NamedTuple):
     """A row: plain_s, released_s: release under the plain push and under this programme.
 
-    gain: change of the latter by the former. vents: steps without filling the driving chamber;
-    brakes: steps of filling the neutral one. begin: the first step of either.
+    gain: change of the latter by the former. begin: the first step of its fillings.
     """
 
     plain_s: float
     released_s: float
     gain: float
-    vents: tuple[Pulse, ...]
-    brakes: tuple[Pulse, ...]
+    fillings: tuple[Filling, ...]
     begin: int
 
 
 class Table(NamedTuple):
-    """Programmes for one supply pressure and closing delay, over ascending impulses.
+    """Releases and programmes for one supply pressure.
 
-    log_impulse: logarithm of the first impulse in N s, and the step from row to row. rows: by
-    strength.
+    log_impulse: logarithm of the first impulse in N s, and the step from one to the next. plain_s:
+    releases of the plain push with these impulses. rows: by strength, over rows_s, equally spaced.
     """
 
     supply_pa: float
-    close_s: float
     log_impulse: tuple[float, float]
-    rows: tuple[tuple[Programme, ...], ...]
     plain_s: tuple[float, ...]
+    rows_s: tuple[float, ...]
+    rows: tuple[tuple[Programme, ...], ...]
 
-    def row(self, plain_s: float, step: int, strength: int) -> Programme | None:
-        """Return the programme of a strength whose release under the plain push is nearest.
+    def row(self, plain_s: float, step: int, strengths: Sequence[int]) -> Programme | None:
+        """Return the programme whose release under the plain push is nearest, of the first strength.
 
-        The second nearest if only that can still begin; None if neither can, or beyond the table.
+        The second nearest if only that can still begin, then those of the next strength; None if none can,
+        or beyond the table.
         """
-        times, rows = self.plain_s, self.rows[strength]
-        after = bisect_right(times, plain_s)
-        if not 0 < after < len(times):
+        first_s, last = self.rows_s[0], len(self.rows_s) - 1
+        at = (plain_s - first_s) / (self.rows_s[1] - first_s)
+        if not 0.0 <= at < last:
             return None
-        before = after - 1
-        nearer = plain_s - times[before] < times[after] - plain_s
-        for index in (before, after) if nearer else (after, before):
-            if step <= rows[index].begin:
-                return rows[index]
+        before = int(at)
+        after = before + 1
+        nearest = (before, after) if at - before < 0.5 else (after, before)
+        for strength in strengths:
+            for index in nearest:
+                programme = self.rows[strength][index]
+                if step <= programme.begin:
+                    return programme
         return None
 
     def release(self, log_impulse: float) -> tuple[float, float]:
@@ -92,17 +99,12 @@ class Table(NamedTuple):
 
 
 class Nearby(NamedTuple):
-    """The tables around a supply pressure: `low` and `high`, and `between`, 0 at the lower one.
-
-    safe: the table whose programmes are used, for no more pressure than there is: with less than it was
-    made for, a programme stalls thirty times as often at 0.25 bar.
-    """
+    """The tables around a supply pressure: `low` and `high`, and `between`, 0 at the lower one."""
 
     nearest: Table
     low: Table
     high: Table
     between: float
-    safe: Table
 
     def release(self, log_impulse: float) -> tuple[float, float, float]:
         """Return when the plain push is released, s, its slope over the logarithm, s, and the row.
@@ -122,54 +124,50 @@ class Nearby(NamedTuple):
 
 
 class Library:
-    """All tables, for closing delays and, for each, ascending supply pressures."""
+    """All tables, by ascending supply pressure."""
 
-    def __init__(self, tables: Mapping[float, Sequence[Table]]) -> None:
-        self._tables = tables
+    def __init__(self, tables: Sequence[Table]) -> None:
+        self.tables = tables
 
-    def near(self, supply_pa: float, close_s: float) -> Nearby:
-        """Return the tables around a supply pressure, for the nearest closing delay."""
-        column = self._tables[min(self._tables, key=lambda delay_s: abs(delay_s - close_s))]
-        above = 1
-        while above < len(column) - 1 and column[above].supply_pa <= supply_pa:
+    def near(self, supply_pa: float) -> Nearby:
+        """Return the tables around a supply pressure, the last two beyond them."""
+        tables, above = self.tables, 1
+        while above < len(tables) - 1 and tables[above].supply_pa <= supply_pa:
             above += 1
-        low, high = column[above - 1], column[above]
+        low, high = tables[above - 1], tables[above]
         between = (supply_pa - low.supply_pa) / (high.supply_pa - low.supply_pa)
-        safe = high if between >= 1.0 else low
-        return Nearby(high if between > 0.5 else low, low, high, between, safe)
-
-
-def _pulses(fields: list[str]) -> tuple[Pulse, ...]:
-    numbers = [int(field) for field in fields]
-    pairs = zip(numbers[::2], numbers[1::2], strict=True)
-    return tuple(Pulse(start, start + length) for start, length in pairs if length > 0)
+        return Nearby(high if between > 0.5 else low, low, high, between)
 
 
 def _programme(plain_s: float, fields: list[str]) -> Programme:
-    released, gain, *steps = fields
-    vents, brakes = _pulses(steps[:4]), _pulses(steps[4:])
-    begin = min((act.start for act in (*vents, *brakes)), default=NEVER)
-    return Programme(plain_s, 1e-4 * int(released), float(gain), vents, brakes, begin)
+    released, gain, *numbers = fields
+    pairs = zip(numbers[::2], numbers[1::2], strict=True)
+    fillings = tuple(Filling(int(step), 1e-4 * int(end)) for step, end in pairs if int(step) >= 0)
+    begin = fillings[0].start if fillings else NEVER
+    return Programme(plain_s, 1e-4 * int(released), float(gain), fillings, begin)
+
+
+def _lines(name: str) -> list[str]:
+    text = files("controller").joinpath(name).read_text(encoding="utf-8")
+    return [line for line in text.splitlines() if not line.startswith("#")]
 
 
 @cache
 def library() -> Library:
     """Return the tables that come with the firmware."""
-    rows: dict[tuple[float, float], list[tuple[float, list[Programme]]]] = {}
-    text = files("controller").joinpath("programmes.csv").read_text(encoding="utf-8")
-    for line in text.splitlines():
-        if line.startswith("#"):
-            continue
+    numbers = [[float(each) for each in line.split(",")] for line in _lines("releases.csv")]
+    logs = [log(impulse_n_s) for impulse_n_s, *_ in numbers]
+    axis = logs[0], (logs[-1] - logs[0]) / (len(logs) - 1)
+    rows: dict[float, list[list[Programme]]] = {}
+    for line in _lines("programmes.csv"):
         head, *strengths = line.split(";")
-        supply, close, impulse, plain = head.split(",")
-        found = [_programme(1e-4 * int(plain), each.split(",")) for each in strengths]
-        table = 1e-3 * float(close), 1e5 * float(supply)
-        rows.setdefault(table, []).append((log(float(impulse)), found))
-    tables: dict[float, list[Table]] = {}
-    for (close_s, supply_pa), pairs in sorted(rows.items()):
-        logs, found_of = zip(*pairs, strict=True)
-        axis = (logs[0], (logs[-1] - logs[0]) / (len(logs) - 1))
+        bar, plain = map(float, head.split(","))
+        found = [_programme(1e-4 * plain, each.split(",")) for each in strengths]
+        rows.setdefault(bar, []).append(found)
+    tables = []
+    for k, (bar, found_of) in enumerate(sorted(rows.items())):
         programmes = tuple(zip(*found_of, strict=True))
-        plain_s = tuple(row.plain_s for row in programmes[CAREFUL])
-        tables.setdefault(close_s, []).append(Table(supply_pa, close_s, axis, programmes, plain_s))
+        plain_s = tuple(1e-4 * times[1 + k] for times in numbers)
+        rows_s = tuple(row.plain_s for row in programmes[CAREFUL])
+        tables.append(Table(1e5 * bar, axis, plain_s, rows_s, programmes))
     return Library(tables)

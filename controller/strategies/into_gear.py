@@ -12,10 +12,14 @@ from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
 
 
 class Command(NamedTuple):
-    """Whether to fill the charged chamber, and the neutral one that brakes."""
+    """Whether to fill the charged chamber, and the neutral one that brakes.
+
+    held: duty at which the neutral valve is held open, None for the usual one.
+    """
 
     charge: bool
     brake: bool
+    held: float | None = None
 
 
 class Progress(NamedTuple):
@@ -84,9 +88,10 @@ class IntoGear(Strategy):
             )
         )
         charged = self.config.duty if command.charge else 0.0
+        held = self.config.duty if command.held is None else command.held
         return Duties(
             charged if shift.charged is Chamber.B else 0.0,
-            self.config.duty if command.brake else 0.0,
+            held if command.brake else 0.0,
             charged if shift.charged is Chamber.F else 0.0,
         )
 

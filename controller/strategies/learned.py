@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from msgspec import Struct
 
 from can_dbc.messages import Gear
+from controller.coil import Coil
 from controller.learning import (
     METHODS,
     WEIGHED,
@@ -19,6 +20,7 @@ from controller.learning import (
 from controller.position import Estimate
 from controller.programmes import (
     CAREFUL,
+    LATE,
     LEVELS,
     LIGHTEST,
     PER_LEVEL,
@@ -34,27 +36,24 @@ from controller.strategies.release import REPORT_RAD_S, Release
 
 COLDEST_K, REFERENCE_K, WARMEST_K = 253.15, 293.15, 343.15
 SLOW_S, SLOWEST_S = 0.0015, 0.0045
-"""Valves that open so much later take the careful programmes of their impulse, which are proven for
-such valves as well; those that open later than the second have none."""
-CLOSE_NEAR_S = 0.0025
-"""A closing delay further from those of the tables has no programmes: cold valves."""
-SUPPLY_PA = -0.05e5, 0.55e5
-"""Nor has a supply that is not within these limits of the table that is safe for it."""
-OPEN_S = 0.008
-"""Opening delay of the valves (thesis 3.1.3)."""
+"""Valves that open so much later take the careful programmes; those later than the second have none."""
+SUPPLY_PA = 0.2e5
+"""Nor has a supply that is further than this from the nearest table."""
 WARM_K, DRAG_FOLD_K = 328.15, 26.0
 """A warm unit, and its cooling by which the drag of the oil, which is colder then, grows e-fold."""
 UNSTEADY_RAD_S = 12.0 * REPORT_RAD_S
 """A difference before the push that is further from the one before it is no speed."""
 TIMING_S = 0.0007
 """Scatter of the time to which a report belongs."""
-KNOWN, KNOWN_LESS, WELL = 0.065, 0.065 - 0.048, 0.37
-"""Scatter, relative, of small impulses for which the careful programmes were made, and by how much less
-of large ones (which the speeds of the shift show); the share of its square of the strong ones."""
-SMALL_SHARE, PER_SHARE = 0.465, 4.7
+KNOWN, KNOWN_S = (0.055, 0.05), (0.0025, 0.0016)
+"""Scatter of the release for which the careful and the strong programmes were made: of the impulse,
+relative, and in s, whichever is less."""
+LIGHT_SHARE, WEIGHED_WELL = 0.22, 0.03
+"""Lighter shifts, by their row, weigh the teeth: they are pushed plainly until the meshing force of their
+gear is known so well."""
 MESH_VARIANCE = 0.02 * 0.02
 """Square of the scatter of the meshing force from shift to shift: assumed."""
-BEARS, BEARS_MORE = (0.16, 0.056), (0.2315, 0.107)
+BEARS, BEARS_MORE = (0.14, 0.062), (0.2315, 0.112)
 """By which share more meshing force than that of the tables the careful programmes are made to bear,
 and the strong ones than that of their level: at `LIKELY` and at `UNLIKELY` standard deviations."""
 LIKELY, UNLIKELY = 2.2, 4.0
@@ -73,6 +72,9 @@ more counts as an error of the release: the stay was stopped at the teeth, as by
 OFF_M = 0.0008
 """Position before the stay moves, from neutral, from which on the sensor or its temperature is wrong: by
 16 K, five times the scatter of a thermometer."""
+LAGS_S, LAGS_FROM = 0.012, 0.4
+"""A push that follows a programme and lags so much behind it does not do as expected: 7 standard deviations
+of what a strong programme is made for, 5 of a careful one; from this share of the impulse on."""
 LONGEST_S = 1e9
 SURPRISED = 1.9
 """Mean square of the latest errors, by what was expected of them, from which on every push is plain:
@@ -82,8 +84,8 @@ what the unit knows is not what it says. In 8 healthy trucks it was below in nin
 class Expected(NamedTuple):
     """When the plain push would be released, s after its start: before and after this shift's reports.
 
-    age_s: of a report of the speeds. variance: of the release now. limit: what a careful programme
-    bears of it.
+    age_s: of a report of the speeds. variance: of the release now. limits: what a careful programme
+    and a strong one bear of it.
     """
 
     context: Context
@@ -92,11 +94,11 @@ class Expected(NamedTuple):
     age_s: float
     offset: Offset
     variance: float
-    limit: float
+    limits: tuple[float, float]
 
 
 class Learned(IntoGear):
-    """Vent and brake by the programme for the release that is expected.
+    """Fill the neutral chamber by the programme for the release that is expected.
 
     Expected is the release of the table for speed difference and supply pressure, moved by what
     earlier shifts taught; while the synchronizer works, the fall of the difference corrects it until
@@ -110,6 +112,9 @@ class Learned(IntoGear):
 
         method: Literal["sensitivities", "map", "iterative", "search"] = "sensitivities"
         """How the releases that were measured change the next one to be expected."""
+        closing_follows_current: bool = False
+        """Whether the valves close sooner the less current is in their coils. Without, a filling cannot be
+        short enough, and every push is plain."""
         supply_pa: Annotated[float, bounded(1e5, 2e6, "Pa")] = 9e5
         """Supply pressure as reported (AIR1) before the shift."""
         rest_s: Annotated[float, bounded(0.0, 1e6, "s")] = 60.0
@@ -163,7 +168,8 @@ class Learned(IntoGear):
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
         self._broken_off, self._has_ended = False, False
-        self._careful, self._strong = False, LEVELS
+        self._careful, self._is_weighed = False, False
+        self._strong: tuple[int, ...] = ()
         self._tables: Nearby
         self._close_s, self._cold, self._drag, self._late_s = 0.0, 0.0, 0.0, 0.0
         self._sum_rad_s, self._count = 0.0, 0
@@ -172,8 +178,10 @@ class Learned(IntoGear):
         self._expected: Expected | None = None
         self._found: tuple[float, float] | None = None
         self._programme: Programme | None = None
+        self._coil = Coil(self.config.period_s, self.parameters.close_s)
+        self._filling, self._delay_s = 0, 0.0
+        self._needed: float | None = None
         self._target_s = 0.0
-        self._undisturbed_s = LONGEST_S
         self._release = Release(self.config.sensor.period_s, self.config.windows.stroke_m)
 
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
@@ -193,26 +201,27 @@ class Learned(IntoGear):
         period_s = self.config.period_s
         rest_s = own.rest_s if filled_ns is None else 1e-9 * (now_ns - filled_ns) - period_s
         self._plain = rest_s < own.least_rest_s or shift.leg is Gear.NEUTRAL
+        self._plain |= not own.closing_follows_current
         self._plain |= shift.attempt > 0 or not shift.steady
         self._waits = self.correction.plain > 0
         if self._waits and not self._plain:
             self.correction.plain -= 1
         heavier, variance = self.correction.heavier(self._direction)
+        self._is_weighed = variance <= WEIGHED_WELL * WEIGHED_WELL
         sd = sqrt(variance + MESH_VARIANCE)
         likely, unlikely = heavier + LIKELY * sd, heavier + UNLIKELY * sd
         self._careful = likely <= BEARS[CAREFUL] and unlikely <= BEARS_MORE[CAREFUL]
         level = max(likely - BEARS[STRONG], unlikely - BEARS_MORE[STRONG])
-        self._strong = max(ceil((level - LIGHTEST) / PER_LEVEL), 0)
+        self._strong = tuple(range(STRONG + max(ceil((level - LIGHTEST) / PER_LEVEL), 0), STRONG + LEVELS))
         coil_k = REFERENCE_K if shift.coil_k is None else shift.coil_k
         warmer_k = min(max(coil_k, COLDEST_K), WARMEST_K) - REFERENCE_K
         self._close_s = own.close_s * exp(own.close_per_k * warmer_k)
         self._cold = exp((WARM_K - REFERENCE_K - warmer_k) / DRAG_FOLD_K)
         later_s = REST_S + self._close_s - REST_CLOSE_S - rest_s
         self._late_s = own.late_s + AIR_S * exp(min(later_s / AIR_FOLD_S, 3.0))
-        self._tables = self._library.near(own.supply_pa, self._close_s)
-        table = self._tables.safe
-        self._plain |= abs(self._close_s - table.close_s) > CLOSE_NEAR_S
-        self._plain |= not SUPPLY_PA[0] <= own.supply_pa - table.supply_pa <= SUPPLY_PA[1]
+        self._coil = Coil(period_s, self._close_s)
+        self._tables = self._library.near(own.supply_pa)
+        self._plain |= abs(own.supply_pa - self._tables.nearest.supply_pa) > SUPPLY_PA
 
     def decide(self, progress: Progress) -> Command:
         """Follow the programme that is expected to fit; its first act decides for it."""
@@ -229,41 +238,51 @@ class Learned(IntoGear):
         programme = self._programme
         if programme is None:
             return PUSH
-        vents = any(pulse.start <= step < pulse.end for pulse in programme.vents)
-        brakes = any(pulse.start <= step < pulse.end for pulse in programme.brakes)
-        return Command(not vents, brakes)
+        held = self._held(programme, step)
+        self._coil.step(held)
+        return Command(True, True, held) if held > 0.0 else PUSH
+
+    def _held(self, programme: Programme, step: int) -> float:
+        """Return the duty of the neutral valve for the coming step."""
+        if self._filling >= len(programme.fillings):
+            return 0.0
+        start, end_s = programme.fillings[self._filling]
+        full = self.config.duty
+        if step <= start:
+            return full if step == start else 0.0
+        rest_s = end_s + self._delay_s - step * self.config.period_s
+        held = self._coil.duty_until(rest_s, full)
+        if held == 0.0:
+            self._filling += 1
+        return held
 
     def _choose(self, expected: Expected, step: int) -> None:
         """Take the programme that fits best if this is the step at which it begins."""
-        strength = self._strength(expected)
-        if strength is None:
+        strengths = self._strengths(expected)
+        if not strengths:
             return
-        table = self._tables.safe
-        target_s = expected.used_s - (self._close_s - table.close_s)
-        if expected.offset.delay_s > SLOW_S:
-            target_s -= expected.offset.delay_s
-        programme = table.row(target_s, step, strength)
-        if programme is None and CAREFUL < strength < LEVELS:
-            # too late for this one; a harder one may begin later
-            programme = table.row(target_s, step, strength + 1)
+        table = self._tables.nearest
+        delay_s = expected.offset.delay_s
+        target_s = expected.used_s - delay_s - self.parameters.late_s
+        programme = table.row(target_s, step, strengths)
         if programme is None or step < programme.begin:
             return
-        self._programme, self._target_s = programme, target_s
-        period_s = self.config.period_s
-        acts = [pulse.start * period_s + self._close_s for pulse in programme.vents]
-        acts += [pulse.start * period_s + OPEN_S for pulse in programme.brakes]
-        self._undisturbed_s = min(acts)
+        self._programme, self._target_s, self._delay_s = programme, target_s, delay_s
 
-    def _strength(self, expected: Expected) -> int | None:
-        """Return which programmes are safe by what is known of the release and the meshing force."""
-        delay_s = expected.offset.delay_s
-        if self.correction.surprise > SURPRISED:
-            return None
-        is_well_known = delay_s <= SLOW_S and expected.variance <= WELL * expected.limit
-        if is_well_known and self._strong < LEVELS:
-            return STRONG + self._strong
-        careful = delay_s <= SLOWEST_S and expected.variance <= expected.limit
-        return CAREFUL if careful and self._careful else None
+    def _strengths(self, expected: Expected) -> tuple[int, ...]:
+        """Return which programmes are safe by what is known of the release and the meshing force.
+
+        The softest first; a harder one may still begin when it is too late for that.
+        """
+        delay_s, (careful, strong) = expected.offset.delay_s, expected.limits
+        if self.correction.surprise > SURPRISED or delay_s > SLOWEST_S:
+            return ()
+        if expected.context.share < LIGHT_SHARE and not self._is_weighed:
+            return ()
+        least = (CAREFUL,) if self._careful and expected.variance <= careful else ()
+        if delay_s <= SLOW_S and expected.variance <= strong:
+            return self._strong + least + ((LATE,) if least else ())
+        return least
 
     def _note(self, progress: Progress, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""
@@ -285,9 +304,10 @@ class Learned(IntoGear):
             at_s = progress.apart_s - self._expected.age_s
             if not self._release.speeds(at_s, apart_rad_s, before_rad_s):
                 self._plain = True
-            if at_s < self._undisturbed_s:
-                self._follow(self._expected, at_s, 1.0 - apart_rad_s / before_rad_s)
-            elif self._release.has_stopped(before_rad_s):
+            given = 1.0 - apart_rad_s / before_rad_s
+            if self._programme is None:
+                self._follow(self._expected, at_s, given)
+            elif self._lags(self._programme, at_s, given):
                 self._broken_off = True
 
     def _expect(self, before_rad_s: float) -> None:
@@ -304,10 +324,10 @@ class Learned(IntoGear):
         offset = self.correction.offset(context)
         prior_s = release_s + offset.later_s + self._late_s
         age_s = own.speeds_age_s + offset.age_s
-        large = min(max((share - SMALL_SHARE) * PER_SHARE, 0.0), 1.0)
-        unit_s = slope_s * (KNOWN - KNOWN_LESS * large)
-        limit, variance = unit_s * unit_s, offset.variance
-        self._expected = Expected(context, prior_s, prior_s, age_s, offset, variance, limit)
+        careful_s = min(KNOWN[0] * slope_s, KNOWN_S[0])
+        strong_s = min(KNOWN[1] * slope_s, KNOWN_S[1])
+        limits = careful_s * careful_s, strong_s * strong_s
+        self._expected = Expected(context, prior_s, prior_s, age_s, offset, offset.variance, limits)
 
     def _follow(self, expected: Expected, at_s: float, given: float) -> None:
         """Correct the expected release by the share of the impulse that has been `given`.
@@ -334,14 +354,25 @@ class Learned(IntoGear):
         if not is_measured and (later_s < 0.0 or not unlikely):
             return
         self._found = found_s, variance
-        if self._programme is not None:
-            self._broken_off = self._broken_off or (unlikely and later_s > 0.0)
-        else:
-            weight = offset.variance / total
-            self._expected = expected._replace(
-                used_s=expected.prior_s + weight * later_s,
-                variance=LONGEST_S if unlikely else (1.0 - weight) * offset.variance,
-            )
+        weight = offset.variance / total
+        self._expected = expected._replace(
+            used_s=expected.prior_s + weight * later_s,
+            variance=LONGEST_S if unlikely else (1.0 - weight) * offset.variance,
+        )
+
+    def _lags(self, programme: Programme, at_s: float, given: float) -> bool:
+        """Return whether much less of the impulse is `given` than a programme that acts leaves of it.
+
+        Early in a push a filling delays by more than in the end, so nothing is said.
+        """
+        table = self._tables.nearest
+        if self._needed is None:
+            self._needed, _ = table.spent(programme.plain_s)
+        later_s = programme.released_s - programme.plain_s + LAGS_S
+        spent, _ = table.spent(at_s - self._delay_s - later_s)
+        least = exp(spent - self._needed)
+        noise = REPORT_RAD_S * self._count / self._sum_rad_s
+        return least > LAGS_FROM and given < least - UNLIKELY * noise
 
     def ended(self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool) -> None:
         """Compare the release with what was expected, and pass the difference to the method."""

@@ -10,9 +10,6 @@ REPORT_RAD_S = 0.28
 """Scatter of a reported difference of the speeds; one below four times this is none."""
 ARRIVED = 0.9
 """Share of the stroke at which the stay has passed the teeth."""
-FALLS = 0.05
-"""Share of their difference by which the speeds fall at least from one report to the next but one while
-the synchronizer works, also by a programme; less says that the driving chamber is not filled."""
 
 
 class Release:
@@ -36,14 +33,6 @@ class Release:
     def is_open(self) -> bool:
         """Whether the speeds have begun to fall, but not yet agreed."""
         return bool(self._falling) and self.released_s is None
-
-    def has_stopped(self, before_rad_s: float) -> bool:
-        """Whether the difference, once it has begun to fall from `before_rad_s`, no longer does so."""
-        if len(self._falling) < 3 or self.released_s is not None:
-            return False
-        (_, first_rad_s), _, (_, last_rad_s) = self._falling
-        least_rad_s = FALLS * before_rad_s
-        return before_rad_s - first_rad_s > least_rad_s > first_rad_s - last_rad_s
 
     def position(self, samples: Sequence[Sample], now_ns: int, start_ns: int) -> None:
         """Take the samples of a step: how fast the stay is, and whether it has passed the teeth.

@@ -31,7 +31,7 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     drive: Drive = "delays"
     """Valves as time delays, or with the current of their coils (see [coil])."""
     closing_follows_duty: bool = False
-    """A valve closes sooner after a smaller duty; with drive = "delays"."""
+    """A valve closes sooner the less current is in its coil, after a short or a reduced duty; with drive = "delays"."""
     speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
     """Period of the DrivelineSpeeds frames."""
     truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01

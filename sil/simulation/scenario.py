@@ -143,6 +143,10 @@ def expanded(scenario: Scenario) -> dict[str, Any]:
 
 def contradictions(scenario: Scenario) -> list[str]:
     """Return a line for each pair of values that each are allowed and together are likely wrong."""
+    return [*_sensor_periods(scenario), *_closing(scenario)]
+
+
+def _sensor_periods(scenario: Scenario) -> list[str]:
     sent_s, assumed_s = scenario.sensor.period_s, scenario.controller.sensor.period_s
     if sent_s == assumed_s:
         return []
@@ -151,6 +155,22 @@ def contradictions(scenario: Scenario) -> list[str]:
         f"{quantity(sent_s, 's')} (sensor.period_s): the firmware's filter and limits are designed "
         f"for the wrong rate; set sensor.period_s alone, which sets both"
     ]
+
+
+def _closing(scenario: Scenario) -> list[str]:
+    """Return what is wrong with a unit that learns and the valves that it assumes."""
+    if scenario.firmware or not scenario.controller.learns:
+        return []
+    key = "controller.strategy_parameters.closing_follows_current"
+    plant = scenario.plant
+    follows = plant.closing_follows_duty or plant.drive == "coil"
+    if not scenario.controller.strategy_parameters.get("closing_follows_current", False):
+        return [f"{key} is false: strategy learned makes every push plain; set it to true, and "
+                "plant.closing_follows_duty, too"]  # fmt: skip
+    if not follows:
+        return [f"{key} is true, but plant.closing_follows_duty is false: the fillings of the "
+                "strategy last longer than it assumes"]  # fmt: skip
+    return []
 
 
 def check_consistent(scenario: Scenario, source: str) -> None:

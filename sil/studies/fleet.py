@@ -35,7 +35,7 @@ EXAM_N_S = tuple(float(each) for each in np.geomspace(18.0, 250.0, 14))
 
 
 RANGES = {
-    **dict.fromkeys(("cone_drift", "cold_start", "direct"), (0.0, 1.0)),
+    **dict.fromkeys(("cone_drift", "cold_start", "direct", "closing_follows_current"), (0.0, 1.0)),
     **dict.fromkeys(("ambient_k", "warm_k"), (200.0, 450.0)),
     **dict.fromkeys(("cone_wander_shifts", "drag_fold_k", "warm_up_s"), (1e-3, 1e7)),
 }
@@ -80,6 +80,8 @@ class TruckTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Relative growth of the opening delay by temperature."""
     fall_per_k: Assumed
     """Relative fall of the closing delay by temperature."""
+    closing_follows_current: Assumed = (1.0, "thesis 3.1.3: a smaller duty shortens the closing")
+    """1: a valve closes sooner the less current is in its coil, as a unit that learns assumes; 0: never."""
     exchanged_rise_s: Assumed
     """Longer opening delay of valves that were exchanged."""
     cone_unit: Assumed
@@ -185,7 +187,10 @@ class Truck:
     nominal: the scenario's values of `NOMINAL`, which the draws change.
     """
 
-    NOMINAL = ("valve.D_rise", "valve.D_fall", "driveline.cone_gain_m", "driveline.inertia_kg_m2")
+    NOMINAL = (
+        *("valve.D_rise", "valve.D_fall", "valve.fall_base", "valve.fall_tau"),
+        *("driveline.cone_gain_m", "driveline.inertia_kg_m2"),
+    )
 
     def __init__(
         self,
@@ -306,6 +311,8 @@ class Truck:
         rise_s = nominal["valve.D_rise"] * (1.0 + of["rise_per_k"] * (unit_k - T_REF_K))
         rise_s += self.rise_s + exchanged * of["exchanged_rise_s"]
         fall_s = nominal["valve.D_fall"] * math.exp(-of["fall_per_k"] * (unit_k - T_REF_K))
+        rise_s += of["valve_shift_s"] * rng.standard_normal()
+        fall_s += self.fall_s + of["valve_shift_s"] * rng.standard_normal()
         inertia = nominal["driveline.inertia_kg_m2"]
         inertia *= 1.0 if gear == "backward" else of["inertia_forward"]
         begin_s = BEGIN_S if blow_s is None else blow_s
@@ -317,8 +324,9 @@ class Truck:
             "driveline.cone_gain_m": gain_m,
             "driveline.inertia_kg_m2": inertia,
             "driveline.noise_rad_s": of["speed_noise_rad_s"],
-            "valve.D_rise": rise_s + of["valve_shift_s"] * rng.standard_normal(),
-            "valve.D_fall": fall_s + self.fall_s + of["valve_shift_s"] * rng.standard_normal(),
+            "valve.D_rise": rise_s,
+            "valve.D_fall": fall_s,
+            **self._closing(fall_s),
             "sensor.coil_temperature_k": unit_k,
             "sensor.measured_temperature_k": unit_k + self.thermometer_k,
             "sensor.phase_s": self.phase_s,
@@ -334,13 +342,26 @@ class Truck:
         }
         supply_pa = SUPPLY_STEP_PA * round(fixed["plant.supply_pressure_pa"] / SUPPLY_STEP_PA)
         per_rad_s = inertia / nominal["driveline.cone_gain_m"]
-        known = {f"{OWN}.supply_pa": supply_pa, f"{OWN}.impulse_per_rad_s": per_rad_s} | (
-            {} if blow_s is None else {f"{OWN}.rest_s": blow_s}
-        )
+        known = {
+            f"{OWN}.supply_pa": supply_pa,
+            f"{OWN}.impulse_per_rad_s": per_rad_s,
+            f"{OWN}.closing_follows_current": bool(of["closing_follows_current"]),
+        }
+        if blow_s is not None:
+            known[f"{OWN}.rest_s"] = blow_s
         size_n_s = inertia * abs(speed_rad_s)
         return Drawn(
             settings, known, size_n_s / nominal["driveline.cone_gain_m"], size_n_s / gain_m
         )
+
+    def _closing(self, fall_s: float) -> dict[str, Any]:
+        """Return the settings of valves whose closing delay after a long full duty is `fall_s`."""
+        if not self._of["closing_follows_current"]:
+            return {}
+        names = "valve.fall_base", "valve.fall_tau"
+        slower = fall_s / self._nominal["valve.D_fall"]
+        scaled = {name: slower * self._nominal[name] for name in names}
+        return {"plant.closing_follows_duty": True, **scaled}
 
 
 def truck_table(table: TruckTable, changed: Mapping[str, Any]) -> TruckTable:

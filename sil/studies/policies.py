@@ -134,8 +134,12 @@ class FamilyModel:
     """The strokes of a family's loads, to be simulated under many policies.
 
     delay_s: of the information, negative if the revealing event is known ahead. extra_s: how much
-    later than the plain push a load may arrive. `runs` counts the simulations.
+    later than the plain push a load may arrive. `runs` counts the simulations. lanes, tolerance: as of
+    `simulate_batch`.
     """
+
+    lanes = False
+    tolerance = TOLERANCE
 
     def __init__(
         self, parameters: ParameterSet, family: Family, delay_s: float, extra_s: float
@@ -286,8 +290,8 @@ class FamilyModel:
                 **own,
             ),
             event_room=MOST_EVENTS,
-            lanes=False,
-            tolerance=TOLERANCE,
+            lanes=self.lanes,
+            tolerance=self.tolerance,
         )
         self.runs += len(load)
         events = np.moveaxis(result.events, 2, 0)

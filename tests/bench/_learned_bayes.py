@@ -5,8 +5,9 @@ python -m tests.bench._learned_bayes FIRST LAST SHIFTS
 A reference, no strategy: it may compute without a limit, reads speeds without scatter, is given impact
 and lost time of every shift against the plain push in the same shift, and keeps all of them. One
 Gaussian process models by how much harder a shift is, one how much later; context is what a unit knows
-before the shift. Each shift takes, of many programmes, the one of the largest expected improvement
-times the probability of being inside the limits; "cautious" only those whose probability is 0.95.
+before the shift. Each shift takes, of many programmes (two fillings of the neutral chamber at most), the
+one of the largest expected improvement times the probability of being inside the limits; "cautious"
+only those whose probability is 0.95. Ends of fillings are commanded as by `_learned_programmes`.
 Trucks of the shipped population (seed `SEED`), without air in neutral, in the plant alone.
 Sources: Krause and Ong 2011 (processes over context and action), Gardner and others 2014 (expected
 improvement under constraints), Rasmussen and Williams 2006 (equations 2.25, 2.26, 2.30, 4.17).
@@ -29,12 +30,13 @@ from scipy.stats import norm
 
 from controller.programmes import library
 from controller.strategies.learned import COLDEST_K, DRAG_FOLD_K, REFERENCE_K, WARM_K, WARMEST_K
+from plant.batch.batch import Strokes
 from plant.systems.setup import make_setup
 from sil.studies.fleet import OWN, Drawn, FleetTable, Truck, truck_table
 from sil.studies.kinds.learned import HARDER_M_S, LONGER_S, Make, nominal, run_shifts
 from sil.studies.load_study import load_study
-from sil.studies.policies import PUSH, Floats
-from tests.bench._learned_programmes import NONE, Pushes, grid, varied
+from sil.studies.policies import PUSH, Family, FamilyModel, Floats
+from tests.bench._learned_programmes import DUMMY_S, NONE, Pushes, grid, tidy, varied
 
 SEED, EXAMINED, BLOCKS = 23, (50, 100, 500), (0, 50, 100, 200, 500)
 LATEST_S = 0.06
@@ -42,6 +44,8 @@ LATEST_S = 0.06
 what a few ms do. Chosen with the two probabilities by truck 0 (0.045, 0.06, 0.15 s)."""
 EXAM, SOME = 0.9, 1500
 """Least probability of being inside the limits in an examination; programmes of which one is taken."""
+STEPS, LENGTH_MS = 2, 20.0
+"""Random changes of a filling from `grid`: of its first step at most, and of its length (sd)."""
 REFIT = (15, 30, 60, 120, 240, 480)
 """Shifts after which the kernels are fitted anew."""
 LENGTHS = np.array((0.6, 0.4, 4.0, 1.0, 2.0, 0.03, 0.03, 0.03, 0.03))
@@ -50,6 +54,10 @@ CLOSED = {"open loop": {}, "learned": {"controller.strategy": "learned"},
           "oil damper": {"plant.damper": "compressible"}}  # fmt: skip
 TRIALS = {"by trials": 0.0, "by trials, cautious": 0.95}
 EFFECTS = {"friction": "dynamic_friction", "inlet": "inlet_clog", "exhaust": "exhaust_clog"}
+CLOSE_S = 0.035
+"""Closing delay of a valve at 20 degrees Celsius after a long full duty."""
+SHORT_S = 0.015
+"""The same after a filling: its end is off by the error of the closing delay times this."""
 
 
 @dataclass(frozen=True)
@@ -107,10 +115,13 @@ BEFORE = Process(0.2, 0.04, LENGTHS), Process(0.04, 0.006, LENGTHS)
 
 
 class Shifts(Pushes):
-    """Drawn shifts of a truck in the plant, and what its unit knows before each of them."""
+    """Drawn shifts of a truck in the plant, and what its unit knows before each of them.
+
+    Of the base only `under` is used: the shifts have setups and valves of their own.
+    """
 
     def __init__(self, drawn: Sequence[Drawn]) -> None:
-        setups, self.context, self.expected_s = [], [], []
+        setups, self.context, self.expected_s, closing = [], [], [], []
         for each in drawn:
             of, supply_pa = each.settings, each.known[f"{OWN}.supply_pa"]
             factors = {k: round(of[f"effect.{name}.factor"], 2) for k, name in EFFECTS.items()}
@@ -119,30 +130,56 @@ class Shifts(Pushes):
                            sync_impulse_n_s=each.impulse_n_s)  # fmt: skip
             setups.append(make_setup(varied(**factors), case))
             coil_k = min(max(of["sensor.measured_temperature_k"], COLDEST_K), WARMEST_K)
-            close_s = 0.035 * exp(-0.0065 * (coil_k - REFERENCE_K))
+            close_s = CLOSE_S * exp(-0.0065 * (coil_k - REFERENCE_K))
+            closing.append(of["valve.D_fall"] / close_s - 1.0)
             known = log(each.expected_n_s)
-            self.expected_s.append(library().near(supply_pa, close_s).release(known)[0])
+            self.expected_s.append(library().near(supply_pa).release(known)[0])
             drag = copysign(exp((WARM_K - coil_k) / DRAG_FOLD_K), of["driveline.residual_rad_s"])
             gear = float(of["request"][0]["gear"] == "forward")
             self.context.append([known, 1e-5 * supply_pa, 1e3 * close_s, gear, drag])
-        rise_s, fall_s = (np.tile([each.settings[f"valve.D_{name}"] for each in drawn], (3, 1))
-                          for name in ("rise", "fall"))  # fmt: skip
-        super().__init__(setups, rise_s, fall_s)
+        self._rise_s = np.tile([each.settings["valve.D_rise"] for each in drawn], (3, 1))
+        self._fall_s = np.tile(DUMMY_S + SHORT_S * np.array(closing), (3, 1))
+        family = Family("g", "unblock", (setups[0].conditions,))
+        FamilyModel.__init__(self, varied(), family, 0.0, 0.0)
+        self.loads, self._base = len(setups), Strokes.from_setups(setups, 1.0)
+        self.limit_s = np.full(self.loads, 0.6)
+        self.plain = self.under(NONE, np.arange(self.loads))
+        self.plain_m_s = self.plain.cost_m_s[0]
         self.limit_s = self.plain.arrival_s[0] + 2.0 * LATEST_S
 
     def inputs(self, k: int, programmes: Floats) -> Floats:
-        """Return context and programmes [n, dimensions]: times in s, by the expected release."""
-        length = 0.01 * np.maximum(programmes[:, :, 1], 0.0)
-        start = np.where(length > 0.0, 0.01 * programmes[:, :, 0] - self.expected_s[k], -0.03)
-        acts = start[:, 0], start[:, 0] + length[:, 0], start[:, 1], length[:, 1]
-        return np.column_stack([np.tile(self.context[k], (len(programmes), 1)), *acts])
+        """Return context and programmes [n, dimensions]."""
+        context = np.tile(self.context[k], (len(programmes), 1))
+        return np.column_stack([context, acts(programmes, self.expected_s[k])])
 
     def outcome(self, k: int, programme: Floats) -> tuple[float, float]:
         """Return by how much harder, m/s, and later, s, a programme is than the plain push."""
-        found = self.under(programme[None], [k])
+        found = self.under(programme[None], np.array([k]))
         late_s = min(found.arrival_s[0, 0] - self.plain.arrival_s[0, k], LATEST_S)
         impact_m_s = found.cost_m_s[0, 0] if late_s < LATEST_S else self.plain_m_s[k]
         return impact_m_s - self.plain_m_s[k], late_s
+
+
+def acts(programmes: Floats, release_s: float) -> Floats:
+    """Return programmes [n, 4] as start and length, s, of the first filling, then of the last one.
+
+    Starts are counted from a release; one filling alone is the last one.
+    """
+    last = np.where(programmes[:, 2:3] < 0.0, programmes[:, [2, 3, 0, 1]], programmes)
+    start_s, none = 0.01 * last[:, 0::2], last[:, 0::2] < 0.0
+    length_s = np.where(none, 0.0, 0.001 * last[:, 1::2] - start_s)
+    start_s = np.where(none, -0.03, start_s - release_s)
+    return np.stack([start_s, length_s], axis=2).reshape(-1, 4)
+
+
+def candidates(release_s: float, rng: np.random.Generator) -> Floats:
+    """Return programmes [1 + SOME, 4] near a release: no filling, then random changes of `grid`."""
+    made = rng.choice(grid(release_s), SOME)
+    steps = rng.integers(-STEPS, STEPS, (SOME, 2), endpoint=True)
+    filled = made[:, 0::2] >= 0.0
+    made[:, 0::2] += filled * steps
+    made[:, 1::2] += filled * (10.0 * steps + LENGTH_MS * rng.standard_normal((SOME, 2)))
+    return np.concatenate([NONE, tidy(made)])
 
 
 def by_trials(shifts: Shifts, exams: Mapping[int, Shifts], least: float) -> Iterator[Floats]:
@@ -154,8 +191,7 @@ def by_trials(shifts: Shifts, exams: Mapping[int, Shifts], least: float) -> Iter
     x, y, examined = np.zeros((0, len(LENGTHS))), np.zeros((0, 2)), []
 
     def choose(of: Shifts, k: int, least: float, exam: bool = False) -> Floats:
-        every = grid(of.expected_s[k], range(9), range(8))
-        some = np.concatenate([NONE, rng.choice(every, SOME, replace=False)])
+        some = candidates(of.expected_s[k], rng)
         (harder, by), (later, late_by) = (
             process.at(of.inputs(k, some), x, values)
             for process, values in zip(processes, y.T, strict=True)
@@ -218,7 +254,7 @@ def main(first: int, last: int, count: int) -> None:
             parts = list(zip((shifts, *alone.values()), run, strict=True))
             (_, ran), *_ = parts
             text = []
-            for a, b in pairwise(each for each in BLOCKS if each <= count):
+            for a, b in pairwise([*(each for each in BLOCKS if each < count), count]):
                 impact_m_s = shifts.plain_m_s[a:b] + ran[a:b, 0]
                 text.append(f"{a + 1}-{b} {np.median(impact_m_s):.2f} ({beyond(ran[a:b])})")
             for at, (exam, did) in zip(exams, parts[1:], strict=True):

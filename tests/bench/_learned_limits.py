@@ -2,118 +2,142 @@
 
 python -m tests.bench._learned_limits [IMPULSE_N_S...]
 
-At 9 bar and a closing delay of 35 ms, for each impulse: the programme that `_learned_programmes`
-would take if some of what it has to bear were known to the last digit (`KNOWN`). Every case gets the
-programmes that were found for the others as well, so that more knowledge is not made worse by the
-search. Printed: mean impact of 20 draws, and the hardest.
+At 9 bar, for the release of the plain push with each impulse: the programme that `_learned_programmes`
+would take (`STRONG`) if some of what it has to bear were known to the last digit (`EXACT`). The draws
+then deviate by the other numbers alone; a valve that is suddenly slow stays among them. Every case
+gets the programmes that were found for the others as well, so that more knowledge is not made worse
+by the search. Printed: mean impact of the near draws, and the hardest.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
+from scipy.stats import chi
 
 from sil.studies.policies import Floats
-from tests.bench._learned_programmes import (
-    FAR,
-    NEAR,
-    NONE,
-    SD,
-    Draws,
-    Strength,
-    grid,
-    read,
-    strong,
-    tidy,
-)
+from tests.bench import _learned_programmes as tables
+from tests.bench._learned_programmes import NONE, Pushes, Strength, grid, read, risk
 
-EXACT = 1e-6
-STRONG = strong(0.0)
-OTHERS = ("rise", "fall", "friction", "inlet", "exhaust", "supply")
-IMPULSES = (40.0, 57.0, 83.0, 140.0, 230.0)
-SEARCHES = 3
-BAR, CLOSE_S = 9.0, 0.035
+NUMBERS = ("release", "mesh", *tables.SD)
+"""Columns of the draws."""
+EXACT: dict[str, tuple[str, ...]] = {
+    "as the strong programmes": (),
+    "meshing force exact": ("mesh",),
+    "release exact": ("release",),
+    "ends of fillings and opening delay exact": ("end", "rise"),
+    "friction, flows and supply exact": ("friction", "inlet", "exhaust", "supply"),
+    "all exact but the release": NUMBERS[1:],
+    "all exact but the meshing force": ("release", *NUMBERS[2:]),
+    "all exact": NUMBERS,
+}
+STRONG = tables.STRENGTHS[1]
+IMPULSES = (24.0, 40.0, 60.0, 83.0, 140.0, 230.0)
+BAR = 9.0
+ROUNDS, HUNTS, TURNS = 2, 4, 24
+"""Searches of each case, and the arguments of `Pushes.best`."""
 PROGRAMMES = Path(__file__).parents[2] / "controller" / "programmes.csv"
 
 
-@dataclass(frozen=True)
-class Known:
-    """A case: standard deviation of impulse (small, large) and meshing force, and what is exact."""
+def deviations(exact: tuple[str, ...]) -> tuple[Floats, Floats]:
+    """Return the draws of the tables in which some numbers do not deviate, and the far ones' weights.
 
-    name: str
-    impulse: tuple[float, float] = STRONG.impulse
-    mesh: tuple[float, float] = STRONG.mesh
-    lighter: tuple[float, float] = STRONG.lighter
-    exact: tuple[str, ...] = field(default=())
-
-    def draws(self, impulse_n_s: float) -> Draws:
-        """Return the plain push and its draws with what is known in this case."""
-        sds = {name: EXACT if name in self.exact else sd for name, sd in SD.items()}
-        strength = Strength(self.name, self.impulse, self.mesh, self.lighter)
-        return Draws(strength, BAR, CLOSE_S, impulse_n_s, sds)
-
-
-NO_MESH, NO_IMPULSE = (0.0, EXACT), (EXACT, EXACT)
-KNOWN = (
-    Known("as the strong programmes"),
-    Known("meshing force exact", mesh=NO_MESH, lighter=NO_MESH),
-    Known("impulse exact", impulse=NO_IMPULSE),
-    Known("delays exact", exact=("rise", "fall")),
-    Known("friction, flows and supply exact", exact=OTHERS[2:]),
-    Known("all exact but impulse", mesh=NO_MESH, lighter=NO_MESH, exact=OTHERS),
-    Known("all exact but meshing force", NO_IMPULSE, exact=OTHERS),
-    Known("all exact", NO_IMPULSE, NO_MESH, NO_MESH, OTHERS),
-)
+    The distance of a draw from what is expected has the density chi, with as many degrees of freedom as
+    numbers are left. Key draws stay as far away; far ones begin where it is as unlikely as in the
+    tables to be further, and end where theirs do.
+    """
+    left = np.array([name not in exact for name in NUMBERS])
+    drawn = np.where(left, tables.DRAWN, 0.0)
+    freedom = max(int(left.sum()), 1)  # with no number left no draw deviates
+    nearest = float(chi.isf(chi.sf(tables.NEAREST, len(NUMBERS)), freedom))
+    share = np.linalg.norm(tables.DRAWN[tables.FAR], axis=1) - tables.NEAREST
+    share /= tables.FARTHEST - tables.NEAREST
+    far = nearest + (tables.FARTHEST - nearest) * share
+    keys = np.arange(tables.NEAR, tables.NEAR + tables.KEYS)
+    for rows, distance in ((keys, tables.DEVIATIONS), (tables.FAR, far)):
+        length = np.linalg.norm(drawn[rows], axis=1)
+        drawn[rows] *= (distance / np.where(length > 0.0, length, np.inf))[:, None]
+    weight: Floats = chi.pdf(far, freedom) * (tables.FARTHEST - nearest) / tables.COUNT
+    return drawn, weight
 
 
-def softest(model: Draws, pool: Floats) -> tuple[float, Floats]:
-    """Return cost and programme [2, 4] of the best of a pool [n, 2, 4] that no draw refuses."""
-    costs = model.costs(pool, list(range(NEAR + 8 + FAR)))
-    for at in np.argsort(costs):
-        if not model.failed(pool[at]):
-            return float(costs[at]), np.asarray(pool[at])
-    raise AssertionError("the plain push, which is in every pool, cannot be refused")
+class Case(Pushes):
+    """All draws at `BAR` in which some numbers are exact: they take the place of those of the tables."""
+
+    def __init__(self, exact: tuple[str, ...]) -> None:
+        drawn, weight = deviations(exact)
+        z = {name: drawn[:, 2 + k] * sd for k, (name, sd) in enumerate(tables.SD.items())}
+        self._draws = {"DRAWN": drawn, "WEIGHT": weight, "Z": z}
+        with self._own():
+            super().__init__(BAR)
+
+    def _own(self) -> AbstractContextManager[Any]:
+        return patch.multiple(tables, **self._draws)
+
+    def aim(self, strength: Strength, release_s: float) -> None:
+        """Do what the base does with these draws."""
+        with self._own():
+            super().aim(strength, release_s)
+
+    def best(self, pool: Floats, hunts: int, turns: int) -> tuple[Floats, float]:
+        """Do what the base does with these draws."""
+        with self._own():
+            return super().best(pool, hunts, turns)
+
+    def softest(self, pool: Floats) -> Floats:
+        """Return the best programme [4] of a pool [n, 4] that is not too risky."""
+        costs = self.costs(pool, tables.ALWAYS)
+        with self._own():
+            for programme in pool[np.argsort(costs, kind="stable")]:
+                if risk(self.fails(programme)) <= tables.RISK:
+                    return np.asarray(programme)
+        raise AssertionError("the plain push, which is in every pool, is not risky")
 
 
-def table(impulse_n_s: float) -> list[tuple[str, float, float]]:
-    """Return mean and hardest impact, m/s, of each case."""
-    models = [case.draws(impulse_n_s) for case in KNOWN]
+def table(cases: list[Case], impulse_n_s: float) -> list[tuple[float, float]]:
+    """Return mean and hardest impact, m/s, of the plain push and of each case."""
+    logs = np.log(tables.IMPULSES_N_S)
+    release_s = float(np.interp(np.log(impulse_n_s), logs, cases[0].nominal_s))
+    row = (release_s - tables.FIRST_S) / tables.STEP_S
     near = [
-        programmes
-        for (bar, close_ms, _), programmes in read(PROGRAMMES).items()
-        if bar == BAR and close_ms == 1e3 * CLOSE_S
+        programme
+        for (bar, n, _), programme in read(PROGRAMMES).items()
+        if bar == BAR and abs(n - row) < tables.PER_STEP
     ]
-    pool = np.unique(np.concatenate([NONE, *near, grid(float(models[0].plain_s[0]))]), axis=0)
-    found = [NONE]
-    for seed in range(SEARCHES):
-        for model in models:
-            begun = tidy(np.concatenate([pool, *found]))
-            found.append(model.best(begun, np.random.default_rng(seed)))
-    known = np.unique(np.concatenate(found), axis=0)
-    rows = []
-    for case, model in zip(KNOWN, models, strict=True):
-        _, programme = softest(model, known)
-        impact_m_s = model.under(programme[None], range(NEAR)).cost_m_s[0]
-        rows.append((case.name, float(impact_m_s.mean()), float(impact_m_s.max())))
-    plain_m_s = models[0].plain_m_s[:NEAR]
-    return [("plain push", float(plain_m_s.mean()), float(plain_m_s.max())), *rows]
+    for case in cases:
+        case.aim(STRONG, release_s)
+    pool = np.concatenate([NONE, grid(release_s), np.array(near).reshape(-1, 4)])
+    found = NONE
+    for _ in range(ROUNDS):
+        for case in cases:
+            programme, _ = case.best(np.concatenate([found, pool]), HUNTS, TURNS)
+            found = np.unique([*found, programme], axis=0)
+    impacts_m_s = [cases[0].plain_m_s[: tables.NEAR]]
+    for case in cases:
+        programme = case.softest(found)
+        impacts_m_s.append(case.under(programme[None], np.arange(tables.NEAR)).cost_m_s[0])
+    return [(float(each.mean()), float(each.max())) for each in impacts_m_s]
 
 
 def main(impulses: list[float]) -> None:
     """Print a column for each impulse."""
+    names = ["plain push", *EXACT]
+    cases = [Case(exact) for exact in EXACT.values()]
     columns = []
     for impulse_n_s in impulses:
-        columns.append(table(impulse_n_s))
-        for name, mean_m_s, hardest_m_s in columns[-1]:
+        columns.append(table(cases, impulse_n_s))
+        for name, (mean_m_s, hardest_m_s) in zip(names, columns[-1], strict=True):
             print(f"{impulse_n_s:.0f} N s  {name}: {mean_m_s:.2f}, {hardest_m_s:.2f}", flush=True)
     print("| known | " + " | ".join(f"{each:.0f} N s" for each in impulses) + " |")
     print("|---" * (1 + len(impulses)) + "|")
-    for rows in zip(*columns, strict=True):
-        cells = " | ".join(f"{mean:.2f} ({hardest:.2f})" for _, mean, hardest in rows)
-        print(f"| {rows[0][0]} | {cells} |")
+    for name, *cells in zip(names, *columns, strict=True):
+        texts = " | ".join(f"{mean:.2f} ({hardest:.2f})" for mean, hardest in cells)
+        print(f"| {name} | {texts} |")
 
 
 if __name__ == "__main__":

@@ -1,85 +1,92 @@
-"""Search the programmes of `controller/programmes.csv`, the tables of strategy learned.
+"""Search the tables of strategy learned: `controller/releases.csv` and `controller/programmes.csv`.
 
-python -m tests.bench._learned_programmes FILE [WORKERS]
+python -m tests.bench._learned_programmes FOLDER [WORKERS]
 
-For each supply pressure, closing delay and impulse: programmes of at most two spans of venting the
-driving chamber and two of filling the neutral one, in steps of 10 ms. They are judged under draws of
-all that the unit does not know (`Strength`, `SD`): by mean and hardest of all impacts near what is
-expected, while 4.3 standard deviations away, in random directions and along single axes, none may be
-0.03 m/s harder or 27 ms later than the plain push in the same draw. The best that also stays within
-0.04 m/s in 480 more such draws, 60 of them with exchanged valves and 60 with one valve that is
-suddenly slow, is taken; where none does, the push is left plain. The search begins with the programmes of FILE, or
-with a grid if there is no such file; some six minutes on one core for each strength.
+For each supply pressure and each release of the plain push: when to fill the neutral chamber, twice at
+most. A filling begins in a step of 10 ms; its end is free, since a valve closes sooner after a short or
+a reduced current, but is 25.5 ms at least after its command. A programme is judged by mean and hardest of all
+impacts under `NEAR` draws of what the unit does not know (`Strength`, `SD`); in no key draw may it be
+0.04 m/s harder or 28 ms later than the plain push in the same draw, and the probability to be so, by
+`COUNT` draws 3.75 to 6 standard deviations away, weighted by how likely they are, must be below
+`RISK`. Where none is found the push is left plain. Draws in which a candidate fails count in the search from
+then on. Programmes of FOLDER that pass all that stay; rows without one are searched more thoroughly.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.stats import chi, norm, qmc
 
-from controller.programmes import LEVELS, LIGHTEST, PER_LEVEL
 from plant.batch.batch import Strokes
-from plant.effects.setup import Setup
+from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.diagnosis.workers import spread_out
+from sil.shift_diagnosis.evolution import evolved
 from sil.simulation.load_scenario import load
 from sil.studies.policies import PUSH, Arrivals, Family, FamilyModel, Floats, Ints, Layout
 from sil.studies.pulses import stem_spans
 
-SUPPLY_BAR = (8.0, 8.5, 9.0)
-CLOSE_MS = (27.0, 31.0, 35.0, 39.0)
-IMPULSES_N_S = np.geomspace(16.0, 275.0, 46)
+SUPPLY_BAR = (8.0, 8.33, 8.67, 9.0)
+GROUPS = (9.0, 8.67), (8.0, 8.33)
+"""Searched side by side; the second of each begins with the programmes of the first."""
+IMPULSES_N_S = np.geomspace(14.0, 290.0, 46)
+FIRST_S, STEP_S, PER_STEP = 0.07, 0.00125, 8
+"""First release of the tables, from one row to the next, and rows in a step of the firmware."""
+PERIOD = np.array([1.0, 10.0, 1.0, 10.0])
+IMPULSE_LIMITS_N_S = 16.0, 275.0
 MESH_N = 1300.0
-OPEN_S = 0.0083
-"""Opening delay of a valve at 50 degrees Celsius."""
-EXTRA_S, HARDER_M_S = 0.027, 0.03
-SD = {"mesh": 0.054, "rise": 0.0004, "fall": 0.0015, "supply": 0.016, "friction": 0.07,
-      "inlet": 0.01, "exhaust": 0.01}  # fmt: skip
-"""Of trucks and shifts (sil/studies/shipped/learned.toml), and the tables' distance in pressure
-and closing delay; in s or relative. That of the meshing force is `Strength`'s where it is known."""
-LAYOUT = Layout("BN", 2, 0)
-NONE = np.array([[[0.0, -1.0, 0.0, -1.0]] * 2])
-NEAR, FAR, PROOF, EXCHANGED, SINGLE, DEVIATIONS = 20, 24, 360, 60, 60, 4.3
+OPEN_S, DUMMY_S = 0.0083, 0.010
+"""Opening delay of a valve at 50 degrees Celsius; a closing delay, by which ends are commanded here."""
+SHORTEST_S = 0.0255
+"""From the command of a filling to the earliest end: two steps, 4 ms for the plunger, and what current
+is left of the filling before."""
+EXTRA_S, HARDER_M_S = 0.028, 0.04
+SD = {"rise": 0.0004, "end": 0.0005, "supply": 0.011, "friction": 0.07, "inlet": 0.01,
+      "exhaust": 0.01}  # fmt: skip
+"""Of trucks and shifts (sil/studies/shipped/learned.toml), and the tables' distance in pressure; in s or
+relative. end: of a filling."""
 SLOWER = 1.2
-"""Delays of a single valve that is suddenly slow, by its own: half of them the driving chamber's."""
-SOME = [*range(4), *range(NEAR, NEAR + 8)]
-ROUNDS, PROOFS = 1, 40
-BEST, CHILDREN = 80, 32
-FIRST = 2
-"""No span begins before this step."""
+"""Delays of a neutral valve that is suddenly slow, by its own."""
+LAYOUT = Layout("N", 2, 0)
+NONE = np.full((1, 4), -1.0)
+NEAR, KEYS, SLOW, COUNT = 20, 32, 6, 1400
+NEAREST, FARTHEST, DEVIATIONS = 3.75, 6.0, 4.5
+RISK = 3e-6
+"""Probability beyond the limits, if the unit knows no more than it must, above which none is taken."""
+WIDEST, PROOFS, SAMPLES, AGAIN = 60, 4, 14, 6
+WORTH_M_S = 0.01
+"""By how much a programme is better than the plain push at least."""
+SPREAD = np.array([3.0, 20.0, 2.5, 20.0])
+MESH, IMPULSE = (Parameters.fields[name].start for name in ("mesh_force", "sync_impulse"))
 
 
 @dataclass(frozen=True)
 class Strength:
-    """What is known: impulse to a relative sd (of small and large ones), and meshing force.
-
-    mesh: the heaviest that is to be expected beyond its sd, and that sd towards heavier ones, by the
-    force of `MESH_N`. lighter: the heaviest of the lighter ones, and their sd.
+    """What is known: the release of the plain push, to a relative sd of its impulse and one in s at most,
+    and the meshing force, by its logarithm to that of `MESH_N` and its sd. twice: two fillings are allowed.
     """
 
     name: str
-    impulse: tuple[float, float]
-    mesh: tuple[float, float]
-    lighter: tuple[float, float] = (0.0, SD["mesh"])
-
-
-def strong(heavier: float) -> Strength:
-    """Return what is known of a gear whose meshing force was found to be at most so much heavier."""
-    return Strength(f"strong {heavier:.2f}", (0.04, 0.031), (heavier, 0.025), (heavier, PER_LEVEL))
+    impulse: float
+    release_s: float
+    heavier: float
+    mesh: float
+    twice: bool = True
 
 
 STRENGTHS = (
-    Strength("careful", (0.065, 0.05), (0.09, 0.033)),
-    *(strong(LIGHTEST + k * PER_LEVEL) for k in range(LEVELS)),
-)
+    Strength("careful", 0.055, 0.0025, 0.03, 0.05),
+    *(Strength(f"strong {level:.2f}", 0.05, 0.0016, level, 0.028)
+      for level in (0.01, 0.1)),
+    Strength("late", 0.055, 0.0016, 0.03, 0.05, twice=False),
+)  # fmt: skip
 """The order is that of `controller.programmes`."""
 
 
@@ -91,245 +98,326 @@ def varied(**factors: float) -> ParameterSet:
     return load("lab_n_b", settings=given).parameters
 
 
-def draws() -> Floats:
-    """Return deviations [draws, 1 + len(SD)] in standard deviations; the first is none."""
-    near = norm.ppf(np.clip(qmc.Sobol(1 + len(SD), rng=3).random(64), 1e-3, 1 - 1e-3))[:NEAR]
+def draws() -> tuple[Floats, Floats]:
+    """Return deviations [draws, 2 + len(SD)] in standard deviations, and the weight [COUNT] of the last ones.
+
+    Columns: release, meshing force, then as `SD`. The first is none.
+    """
+    size = 2 + len(SD)
+    near = norm.ppf(np.clip(qmc.Sobol(size, rng=3).random(32), 1e-3, 1.0 - 1e-3))[:NEAR]
     near[0] = 0.0
-    corners = np.zeros((8, near.shape[1]))
-    corners[[0, 1, 2, 3, 4], 0] = 4.5, -4.5, 0.0, 3.9, 3.0
-    corners[[2, 3, 4], 1] = DEVIATIONS, 2.2, 3.0
-    corners[5, 2] = 8.0  # valves exchanged and not yet learned
-    corners[[6, 7], 3] = 4.0, -4.0
-    slow, single = _directions(EXCHANGED, 3.2, 12), _directions(SINGLE, 3.2, 13)
-    slow[:, 2] = 7.75
-    far = _directions(FAR, DEVIATIONS, 3), _directions(PROOF, DEVIATIONS, 11)
-    return np.concatenate([near, corners, *far, slow, single])
+    rng = np.random.default_rng(5)
+    keys = rng.standard_normal((KEYS, size))
+    keys[: 2 * size] = np.concatenate([np.eye(size), -np.eye(size)])
+    keys[2 * size : 2 * size + 4, :2] = (3.0, 3.0), (3.0, 1.5), (1.5, 3.0), (-3.0, 3.0)
+    keys *= DEVIATIONS / np.linalg.norm(keys, axis=1, keepdims=True)
+    slow = rng.standard_normal((SLOW, size))
+    slow *= 2.5 / np.linalg.norm(slow, axis=1, keepdims=True)
+    far = rng.standard_normal((COUNT, size))
+    distance = rng.uniform(NEAREST, FARTHEST, COUNT)
+    far *= (distance / np.linalg.norm(far, axis=1))[:, None]
+    weight: Floats = chi.pdf(distance, size) * (FARTHEST - NEAREST) / COUNT
+    return np.concatenate([near, keys, slow, far]), weight
 
 
-def _directions(count: int, length: float, seed: int) -> Floats:
-    """Return draws [count, 1 + len(SD)] of a length, half of them towards a stall."""
-    drawn = np.random.default_rng(seed).standard_normal((count, 1 + len(SD)))
-    stalls = slice(count // 2)
-    drawn[stalls, 0] = 0.4 + 1.4 * np.abs(drawn[stalls, 0])
-    drawn[stalls, 1] = 1.2 * np.abs(drawn[stalls, 1])
-    found: Floats = drawn * length / np.linalg.norm(drawn, axis=1, keepdims=True)
-    return found
+DRAWN, WEIGHT = draws()
+ALWAYS: Ints = np.arange(NEAR + KEYS + SLOW)
+FEW: Ints = np.array([0, 1, 2, 3, NEAR, NEAR + 1, NEAR + 2, *range(NEAR + 16, NEAR + 24)])
+FAR: Ints = np.arange(len(ALWAYS), len(DRAWN))
+Z = {name: DRAWN[:, 2 + k] * sd for k, (name, sd) in enumerate(SD.items())}
+
+
+def risk(failed: Ints) -> float:
+    """Return the probability of the far draws in which a programme is beyond the limits."""
+    return float(WEIGHT[failed - FAR[0]].sum())
 
 
 class Pushes(FamilyModel):
-    """Plain pushes with delays [3, pushes] of the valves, s, and what programmes do in each of them."""
+    """All draws under one supply pressure; `aim` gives them the impulses and the force of a row.
 
-    def __init__(self, setups: Sequence[Setup], rise_s: Floats, fall_s: Floats) -> None:
-        self._rise_s, self._fall_s = rise_s, fall_s
+    release_s: [draws, impulses] of the plain push; nominal_s: [impulses] without deviations.
+    """
+
+    lanes = True
+    tolerance = 1e-4
+
+    def __init__(self, bar: float) -> None:
+        setups = []
+        for k in range(len(DRAWN)):
+            factors = {each: round(float(np.exp(Z[each][k])), 2)
+                       for each in ("friction", "inlet", "exhaust")}  # fmt: skip
+            case = replace(PUSH, supply_pressure_pa=1e5 * bar * float(np.exp(Z["supply"][k])),
+                           mounted=True, mesh_force_n=MESH_N, sync_impulse_n_s=60.0)  # fmt: skip
+            setups.append(make_setup(varied(**factors), case))
+        self.bar, self._twice = bar, True
+        self._rise_s = np.tile(OPEN_S + Z["rise"], (3, 1))
+        self._fall_s = np.tile(DUMMY_S + Z["end"], (3, 1))
+        slow = slice(NEAR + KEYS, NEAR + KEYS + SLOW)
+        self._rise_s[1, slow] *= SLOWER
+        self._fall_s[1, slow] += (SLOWER - 1.0) * 0.02
         super().__init__(varied(), Family("g", "unblock", (setups[0].conditions,)), 0.0, 0.0)
         self.loads = len(setups)
         self._base = Strokes.from_setups(setups, 1.0)
-        self.limit_s = np.full(self.loads, 0.5)
-        self.plain = self.under(NONE, range(self.loads))
-        self.plain_m_s, self.plain_s = self.plain.cost_m_s[0], self.plain.revealed_s[0]
+        self._packed = self._base.packed.copy()
+        self.limit_s = np.full(self.loads, 0.6)
+        every: Ints = np.arange(self.loads)
+        self.release_s = np.empty((self.loads, len(IMPULSES_N_S)))
+        for k, impulse_n_s in enumerate(IMPULSES_N_S):
+            self._give(np.full(self.loads, impulse_n_s), 0.0 * every)
+            self.release_s[:, k] = self.under(NONE, every).revealed_s[0]
+        self.nominal_s = self.release_s[0]
 
-    def under(self, programmes: Floats, which: range | list[int]) -> Arrivals:
-        """Return arrivals [n, which] of programmes [n, 2, 4]."""
-        given = self.changes(LAYOUT, *stem_spans(programmes))
+    def _give(self, impulse_n_s: Floats, heavier: Floats) -> None:
+        packed = self._packed.copy()
+        packed[:, IMPULSE] = impulse_n_s
+        packed[:, MESH] = MESH_N * np.exp(heavier)
+        self._base = replace(self._base, packed=packed)
+
+    def _impulse_n_s(self, released_s: Floats) -> Floats:
+        """Return the impulses [draws] with which the plain push of each draw is released at [draws]."""
+        logs = np.log(IMPULSES_N_S)
+        return np.array([np.exp(np.interp(at_s, own_s, logs))
+                         for at_s, own_s in zip(released_s, self.release_s, strict=True)])  # fmt: skip
+
+    def aim(self, strength: Strength, release_s: float) -> None:
+        """Take what is known to a strength when the plain push is expected to be released at a time."""
+        self._twice = strength.twice
+        logs = np.log(IMPULSES_N_S)
+        slope_s = float(np.interp(release_s, self.nominal_s, np.gradient(self.nominal_s, logs)))
+        sd_s = np.hypot(min(strength.release_s, strength.impulse * slope_s), STEP_S / 12.0**0.5)
+        self._give(
+            self._impulse_n_s(release_s + sd_s * DRAWN[:, 0]),
+            strength.heavier + strength.mesh * DRAWN[:, 1],
+        )
+        self.limit_s = np.full(self.loads, 0.6)
+        plain = self.under(NONE, np.arange(self.loads))
+        self.plain_m_s, self.limit_s = plain.cost_m_s[0], plain.arrival_s[0] + EXTRA_S
+        self.plain_s = plain.revealed_s[0]
+
+    def under(self, programmes: Floats, which: Ints) -> Arrivals:
+        """Return arrivals [n, which] of programmes [n, 4]: twice first step and end in ms, -1 for none."""
+        spans = np.full((len(programmes), 1, 4), -1.0)
+        begin = programmes[:, 0::2]
+        spans[:, 0, 0::2] = begin
+        spans[:, 0, 1::2] = np.where(
+            begin >= 0.0, 0.1 * programmes[:, 1::2] - 100.0 * DUMMY_S - begin, -1.0
+        )
+        given = self.changes(LAYOUT, *stem_spans(spans))
         repeated = [np.repeat(each, len(which), axis=0) for each in given]
-        found = self._simulate(repeated, np.tile(np.array(which), len(programmes)))
+        found = self._simulate(repeated, np.tile(which, len(programmes)))
         return found.reshaped((len(programmes), len(which)))
 
     def _simulate(self, given: list[Floats], load: Ints, hold_s: float = 0.05) -> Arrivals:
         self.valve_s = self._rise_s[:, load], self._fall_s[:, load]  # type: ignore[assignment]
         return super()._simulate(given, load, hold_s)
 
+    def costs(self, programmes: Floats, which: Ints, near: int = NEAR) -> Floats:
+        """Return mean and worst impact [n] near what is expected, far more for an unsafe one.
 
-class Draws(Pushes):
-    """The plain push under draws around one impulse, and what programmes do in each of them."""
-
-    def __init__(
-        self,
-        strength: Strength,
-        bar: float,
-        close_s: float,
-        impulse_n_s: float,
-        sds: Mapping[str, float] = SD,
-    ) -> None:
-        small, large = strength.impulse
-        sd = float(np.interp(impulse_n_s, (60.0, 110.0), (small, large)))
-        z = draws()
-        (heavier, more), (lighter, less) = strength.mesh, strength.lighter
-        mesh = np.where(z[:, 1] > 0.0, heavier + more * z[:, 1], lighter + less * z[:, 1])
-        changed = {name: sd_of * z[:, 1 + k] for k, (name, sd_of) in enumerate(sds.items())}
-        setups = []
-        for k in range(len(z)):
-            factors = {each: round(float(np.exp(changed[each][k])), 2)
-                       for each in ("friction", "inlet", "exhaust")}  # fmt: skip
-            supply = float(np.clip(changed["supply"][k], -0.035, 0.035))
-            case = replace(
-                PUSH,
-                supply_pressure_pa=1e5 * bar * (1.0 + supply),
-                mounted=True,
-                mesh_force_n=MESH_N * float(np.exp(mesh[k])),
-                sync_impulse_n_s=impulse_n_s * float(np.exp(sd * z[k, 0])),
-            )
-            setups.append(make_setup(varied(**factors), case))
-        self.impulse_n_s = impulse_n_s
-        slower = np.ones((3, len(z)))
-        slower[0, -SINGLE::2] = slower[1, 1 - SINGLE :: 2] = SLOWER
-        rise_s, fall_s = (OPEN_S + changed["rise"], close_s + changed["fall"])
-        super().__init__(setups, slower * rise_s, slower * fall_s)
-        self.limit_s = self.plain.arrival_s[0] + EXTRA_S
-
-    def costs(self, programmes: Floats, which: range | list[int]) -> Floats:
-        """Return mean and worst impact [n] near what is expected, far more for an unsafe one."""
-        impact_m_s = self.under(programmes, which).cost_m_s
-        at = np.array(which)
-        near = np.sort(impact_m_s[:, at < NEAR], axis=1)
-        over = np.maximum(impact_m_s - self.plain_m_s[at] - HARDER_M_S, 0.0)
-        worst = near[:, -max(1, near.shape[1] // 8) :].mean(axis=1)
-        spans = (programmes[..., 1::2] > 0.0).sum(axis=(1, 2))
-        early = ((programmes[..., 0::2] < FIRST) & (programmes[..., 1::2] > 0.0)).any(axis=(1, 2))
-        unsafe = 10.0 * over.max(axis=1) + over.sum(axis=1) + early
-        found: Floats = near.mean(axis=1) + 0.5 * worst + 0.004 * spans + unsafe
-        return found
-
-    def best(self, pool: Floats, rng: np.random.Generator) -> Floats:
-        """Return programmes [6, 2, 4] of a pool with small changes: the best proven one, then the best.
-
-        A draw in which a proof fails counts from then on.
+        near: so many of the draws, the first ones, are near.
         """
-        few, some, every = [0, NEAR, NEAR + 3], SOME, list(range(NEAR + 8 + FAR))
-        pool = np.unique(np.concatenate([pool, NONE]), axis=0)
-        if len(pool) > 400:
-            pool = pool[self.under(pool, [0]).cost_m_s[:, 0] <= self.plain_m_s[0]]
-            pool = pool[np.argsort(self.costs(pool, few))[:400]]
-        pool = np.concatenate([NONE, pool[np.argsort(self.costs(pool, some))[:BEST]]])
-        costs = self.costs(pool, every)
-        for turn in range(ROUNDS + PROOFS):
-            at = int(np.argmin(costs))
-            if turn >= ROUNDS:
-                failed = self.failed(pool[at]) if costs[at] < costs[0] - 0.01 else []
-                if not failed:
-                    break
-                every += failed
-                costs += 10.0 * np.maximum(self.over(pool, failed), 0.0).sum(axis=1)
-            if turn >= ROUNDS and turn % 3:
-                continue
-            parents = np.repeat(pool[np.argsort(costs)[:8]], 6, axis=0)
-            children = np.unique([self.changed(each, rng) for each in parents], axis=0)
-            children = children[np.argsort(self.costs(children, some))[:CHILDREN]]
-            pool = np.concatenate([pool, children])
-            costs = np.concatenate([costs, self.costs(children, every)])
-        else:
-            at = 0
-        best = pool[np.argsort(costs, kind="stable")[:5]]
-        found: Floats = np.concatenate([pool[[at if costs[at] < costs[0] - 0.01 else 0]], best])
+        impact_m_s = self.under(programmes, which).cost_m_s
+        likely = np.sort(impact_m_s[:, :near], axis=1)
+        over = np.maximum(impact_m_s - self.plain_m_s[which] - HARDER_M_S, 0.0)
+        found: Floats = likely.mean(axis=1) + 0.3 * likely[:, -max(near // 8, 1) :].mean(axis=1)
+        return found + 3.0 * over.max(axis=1) + 0.3 * over.sum(axis=1)
+
+    def fails(self, programme: Floats, which: Ints = FAR) -> Ints:
+        """Return those of some draws in which a programme [4] is beyond the limits."""
+        cost_m_s = self.under(programme[None], which).cost_m_s[0]
+        found: Ints = which[cost_m_s > self.plain_m_s[which] + HARDER_M_S]
         return found
 
-    def over(self, programmes: Floats, which: range | list[int]) -> Floats:
-        """Return by how much the impacts [n, which] exceed the limit of the proof, m/s."""
-        limit_m_s = self.plain_m_s[np.array(which)] + HARDER_M_S + 0.01
-        over: Floats = self.under(programmes, which).cost_m_s - limit_m_s
-        return over
+    def passes(self, programme: Floats) -> bool:
+        """Return whether a programme [4] is possible, softer than the plain push, and safe."""
+        both = np.stack([programme, NONE[0]])
+        impact_m_s = self.under(both, ALWAYS).cost_m_s
+        own, plain = self.costs(both, ALWAYS)
+        return (
+            np.allclose(tidy(both), both, atol=0.05)
+            and bool(own < plain - WORTH_M_S)
+            and bool((impact_m_s[0] - self.plain_m_s[ALWAYS]).max() <= HARDER_M_S)
+            and risk(self.fails(programme)) <= RISK
+        )
 
-    def failed(self, programme: Floats) -> list[int]:
-        """Return the draws of the proof in which a programme [2, 4] fails worst, three at most."""
-        first = NEAR + 8 + FAR
-        over = self.over(programme[None], range(first, self.loads))[0]
-        return [first + int(at) for at in np.argsort(-over)[:3] if over[at] > 0.0]
+    def best(self, pool: Floats, hunts: int, turns: int) -> tuple[Floats, float]:
+        """Return the best programme [4] near those of a pool that is not too risky, and its risk.
 
-    def changed(self, programme: Floats, rng: np.random.Generator) -> Floats:
-        """Return a programme with one to three numbers changed."""
-        made = programme.copy()
-        for _ in range(rng.integers(1, 4)):
-            valve, at = rng.integers(2), rng.integers(4)
-            if at % 2 or made[valve, at + 1] > 0.0:
-                made[valve, at] = max(made[valve, at] + rng.choice([-1.0, 1.0]), at % 2 - 1.0)
-            elif rng.random() < 0.5:
-                made[valve, at : at + 2] = rng.integers(1, int(100.0 * self.plain_s[0]) + 2), 4
-        made[:, 0] += rng.choice([-1.0, 0.0, 0.0, 0.0, 1.0])
-        return tidy(made)
+        hunts: from so many of the pool a search begins, and lasts so many turns.
+        """
+        which = ALWAYS
+        pool = np.unique(np.concatenate([NONE, tidy(pool)]), axis=0)
+        if not self._twice:
+            pool = pool[pool[:, 2] < 0.0]
+        pool = pool[np.argsort(self.costs(pool, FEW, 4), kind="stable")][:WIDEST]
+        starts = alone(pool[np.argsort(self.costs(pool, which), kind="stable")], 1)[:hunts]
+        for turn in range(PROOFS):
+            found = [NONE[0], *starts]
+            for start in starts:
+                found.append(self._hunted(start, which, turns if turn == 0 else AGAIN))
+            pool = np.unique(found, axis=0)
+            pool = pool[np.argsort(self.costs(pool, which), kind="stable")]
+            own, plain = self.costs(np.stack([pool[0], NONE[0]]), which)
+            if own >= plain - WORTH_M_S:
+                break
+            failed = self.fails(pool[0])
+            if self.passes(pool[0]):
+                return pool[0], risk(failed)
+            which = np.union1d(which, failed[np.argsort(np.linalg.norm(DRAWN[failed], axis=1))[:8]])
+            starts = pool[np.argsort(self.costs(pool, which), kind="stable")][:2]
+        return NONE[0], 0.0
+
+    def _hunted(self, start: Floats, which: Ints, turns: int) -> Floats:
+        """Return the best programme [4] of a search from one; a filling that is none may appear."""
+        at = 2 if start[2] >= 0.0 else 0
+        before = start[at] - 6.0, 10.0 * start[at] - 30.0
+        begin = np.where(start < 0.0, np.tile(before, 2), start) if self._twice else start
+        return tidy(evolved(
+            lambda points: self.costs(tidy(np.array(points)), which),
+            begin,
+            np.diag((SPREAD if self._twice else SPREAD * (1.0, 1.0, 0.0, 0.0)) ** 2),
+            turns,
+            SAMPLES,
+        )[None])[0]  # fmt: skip
 
     def line(self, programme: Floats) -> str:
-        """Return release of the programme, its change by that of the plain push, and its spans."""
-        released_s = self.under(programme[None], [0, NEAR, NEAR + 1]).revealed_s[0]
-        rise_s = self.plain_s[NEAR] - self.plain_s[NEAR + 1]
-        gain = float(np.clip((released_s[1] - released_s[2]) / rise_s, 0.7, 2.0))
-        steps = ",".join(f"{step:.0f}" for step in programme.ravel())
-        return f"{1e4 * released_s[0]:.0f},{gain:.2f},{steps}"
-
-
-def grid(
-    release_s: float,
-    vents: Sequence[int] = (0, 4, 5, 6, 8),
-    brakes: Sequence[int] = (0, 1, 2, 4, 7),
-) -> Floats:
-    """Return programmes [n, 2, 4] of one span of each valve, of these lengths, near the release."""
-    at, made = int(100.0 * release_s), []
-    for vent, vented, brake, braked in product(range(-9, 2), vents, range(-6, 4), brakes):
-        if min(at + vent, at + brake) > 0 and vented + braked > 0:
-            made.append([[at + vent, vented, 0, -1], [at + brake, braked, 0, -1]])
-    return np.unique(tidy(np.array(made, dtype=float)), axis=0)
+        """Return release of the programme, its change by that of the plain push, and its fillings."""
+        at: Ints = np.array([0, NEAR, NEAR + 2 + len(SD)])
+        released_s = self.under(programme[None], at).revealed_s[0]
+        gain = (released_s[1] - released_s[2]) / (self.plain_s[at[1]] - self.plain_s[at[2]])
+        numbers = ",".join(f"{k:.0f}" for k in programme * (1.0, 10.0, 1.0, 10.0))
+        return f"{1e4 * released_s[0]:.0f},{float(np.clip(gain, 0.7, 2.0)):.2f},{numbers}"
 
 
 def tidy(programmes: Floats) -> Floats:
-    """Return programmes [..., 2, 4] of which a span that is none is 0, -1, as is a start before 0."""
+    """Return programmes [n, 4] with fillings in their order, long enough, and apart."""
     made = programmes.copy()
-    none = made[..., 1::2] <= 0.0
-    made[..., 0::2] = np.where(none, 0.0, np.maximum(made[..., 0::2], 0.0))
-    made[..., 1::2] = np.where(none, -1.0, made[..., 1::2])
-    return made
+    made[:, 0::2] = np.round(made[:, 0::2])
+    none = (made[:, 0::2] < 0.0) | (made[:, 1::2] < 10.0 * made[:, 0::2] + 15.0)
+    made[:, 0::2][none] = made[:, 1::2][none] = -1.0
+    swap = (made[:, 2] >= 0.0) & ((made[:, 2] < made[:, 0]) | (made[:, 0] < 0.0))
+    made[swap] = made[swap][:, [2, 3, 0, 1]]
+    shortest = 10.0 * made[:, 0::2] + 1e3 * SHORTEST_S
+    made[:, 1::2] = np.where(made[:, 0::2] >= 0.0, np.maximum(made[:, 1::2], shortest), -1.0)
+    # the second one begins when the valve has closed
+    two = (made[:, 0] >= 0.0) & (made[:, 2] >= 0.0)
+    joined = two & (10.0 * made[:, 2] < made[:, 1])
+    made[joined, 2] = np.ceil(0.1 * made[joined, 1])
+    made[:, 3] = np.where(
+        joined, np.maximum(made[:, 3], 10.0 * made[:, 2] + 1e3 * SHORTEST_S), made[:, 3]
+    )
+    found: Floats = np.round(made, 1) + 0.0
+    return found
 
 
-Key = tuple[float, float, int]
-"""Supply in bar, closing delay in ms, index of the impulse."""
+def alone(programmes: Floats, most: int) -> Floats:
+    """Return programmes [n, 4], of those that begin in the same steps the first ones, so many at most."""
+    count: dict[tuple[float, float], int] = {}
+    chosen = []
+    for each in programmes:
+        key = float(each[0]), float(each[2])
+        count[key] = count.get(key, 0) + 1
+        chosen.append(count[key] <= most)
+    found: Floats = programmes[np.array(chosen)]
+    return found
+
+
+def grid(release_s: float) -> Floats:
+    """Return programmes [n, 4] near a release: a filling, and mostly a shorter one before it."""
+    at, made = int(100.0 * release_s), []
+    for second, before, length_ms in product(range(-4, 2), range(2, 11), (25.0, 32.0)):
+        begin = at + second
+        first = begin - before if before < 10 else -1
+        if begin >= 0:
+            last_ms = 10.0 * begin + 35.0
+            made.append([first, 10.0 * first + length_ms if first >= 0 else -1.0, begin, last_ms])
+    return tidy(np.array(made))
+
+
+def rows_s(model: Pushes) -> Floats:
+    """Return the releases of the rows under a supply pressure."""
+    least_s, most_s = np.interp(np.log(IMPULSE_LIMITS_N_S), np.log(IMPULSES_N_S), model.nominal_s)
+    first = np.ceil((least_s - FIRST_S) / STEP_S)
+    return FIRST_S + STEP_S * np.arange(first, np.floor((most_s - FIRST_S) / STEP_S) + 1.0)
+
+
+Key = tuple[float, int, int]
+"""Supply in bar, number of the row, strength."""
 
 
 def read(path: Path) -> dict[Key, Floats]:
-    """Return the programmes [n, 2, 4] of all strengths by row; none if there is no such file."""
+    """Return the programmes [4] of a file; none if there is no such file."""
     found: dict[Key, Floats] = {}
     for line in path.read_text().splitlines() if path.exists() else ():
         if not line.startswith("#"):
             head, *lines = line.split(";")
-            bar, close_ms, impulse_n_s, _ = map(float, head.split(","))
-            n = int(np.argmin(np.abs(IMPULSES_N_S - impulse_n_s)))
-            numbers = [each.split(",")[2:] for each in lines]
-            found[bar, close_ms, n] = np.array(numbers, dtype=float).reshape(-1, 2, 4)
+            bar, plain = map(float, head.split(","))
+            n = round((1e-4 * plain - FIRST_S) / STEP_S)
+            for k, each in enumerate(lines):
+                numbers = np.array(each.split(",")[2:], dtype=float)
+                found[bar, n, k] = numbers * (1.0, 0.1, 1.0, 0.1)
     return found
 
 
-def search(strength: Strength, given: Mapping[Key, Floats]) -> dict[Key, tuple[float, str]]:
-    """Return release under the plain push and line of each row, from given programmes near it."""
-    rng = np.random.default_rng(0)
-    known = dict(given)
-    lines: dict[Key, tuple[float, str]] = {}
-    for bar, close_ms, n in product(SUPPLY_BAR, CLOSE_MS, range(len(IMPULSES_N_S))):
-        model = Draws(strength, bar, 1e-3 * close_ms, float(IMPULSES_N_S[n]))
-        row = bar, close_ms, n
-        near = [
-            programmes
-            for (p, c, m), programmes in known.items()
-            if abs(p - bar) < 0.6 and abs(c - close_ms) < 5.0 and abs(m - n) < 3
-        ]
-        pool = np.unique(np.concatenate(near or [grid(float(model.plain_s[0]))]), axis=0)
-        found = model.best(tidy(pool), rng)
-        known[row] = np.concatenate([found, known.get(row, NONE)])
-        lines[row] = float(model.plain_s[0]), model.line(found[0])
-        print(strength.name, *row, lines[row][1], flush=True)
-    return lines
+def search(
+    bars: tuple[float, ...], given: dict[Key, Floats]
+) -> dict[float, tuple[Floats, dict[Key, str]]]:
+    """Return releases of the plain push, and the lines of all rows, of some supply pressures."""
+    known, made = dict(given), {}
+    for bar in bars:
+        model, lines = Pushes(bar), dict[Key, str]()
+        for release_s, (k, strength) in product(rows_s(model), enumerate(STRENGTHS)):
+            n = round((release_s - FIRST_S) / STEP_S)
+            model.aim(strength, float(release_s))
+            near = [
+                programme + steps * PERIOD * (programme >= 0.0)
+                for (p, m, j), programme in known.items()
+                if abs(p - bar) < 0.4 and abs(j - k) < 3 and (programme >= 0.0).any()
+                for steps in (round((n - m) / PER_STEP),)
+                if abs(n - m - PER_STEP * steps) < 2 and abs(n - m) < 10
+            ]
+            own = tidy(given.get((bar, n, k), NONE[0])[None])[0]
+            is_begun = (own >= 0.0).any() or ((bar, n, k) not in given and len(near) > 4)
+            hunts = (2, 10) if is_begun else (5, 24)
+            pool = np.concatenate([[own], grid(float(release_s)), np.array(near).reshape(-1, 4)])
+            if (own >= 0.0).any() and model.passes(own):
+                found, likely = own, risk(model.fails(own))
+            else:
+                found, likely = model.best(pool, *hunts)
+            known[bar, n, k], lines[bar, n, k] = found, model.line(found)
+            mean_m_s = float(model.under(found[None], np.arange(NEAR)).cost_m_s.mean())
+            print(f"{bar:g} {1e3 * release_s:.2f} {strength.name}: {lines[bar, n, k]}; {mean_m_s:.3f} "
+                  f"for {model.plain_m_s[:NEAR].mean():.3f} m/s, {likely:.1e}", flush=True)  # fmt: skip
+        made[bar] = model.nominal_s, lines
+    return made
 
 
-def main(path: Path, workers: int) -> None:
-    """Search all strengths, beginning with the programmes of the file if there is one; write it."""
+def main(folder: Path, workers: int) -> None:
+    """Search all tables, beginning with the programmes of the folder if there are any; write them."""
+    path = folder / "programmes.csv"
     given = read(path)
-    strengths = spread_out(lambda each: search(each, given), STRENGTHS, workers)
+    found: dict[float, tuple[Floats, dict[Key, str]]] = {}
+    for made in spread_out(lambda bars: search(bars, given), GROUPS, workers):
+        found |= made
     text = [
-        "# Made by python -m tests.bench._learned_programmes; each line: supply in bar, closing",
-        "# delay in ms, impulse in N s, release of the plain push in 0.1 ms; for each strength:",
-        "# release of its programme in 0.1 ms, change of that by the former, two spans of venting,",
-        "# two of filling (start, steps; 0,-1: none)",
+        "# Made by python -m tests.bench._learned_programmes; each line: supply in bar, release of the",
+        "# plain push in 0.1 ms; for each strength: release of its programme in 0.1 ms, change of that by",
+        "# the former, and twice first step and end of filling the neutral chamber, in 0.1 ms (-1: none)",
     ]
-    for (bar, close_ms, n), (plain_s, _) in strengths[0].items():
-        head = f"{bar:g},{close_ms:g},{IMPULSES_N_S[n]:.3f},{1e4 * plain_s:.0f}"
-        text.append(";".join([head, *(lines[bar, close_ms, n][1] for lines in strengths)]))
+    for bar in SUPPLY_BAR:
+        lines = found[bar][1]
+        for n in sorted({n for _, n, _ in lines}):
+            head = f"{bar:g},{1e4 * (FIRST_S + STEP_S * n):.1f}"
+            text.append(";".join([head, *(lines[bar, n, k] for k in range(len(STRENGTHS)))]))
     path.write_text("\n".join(text) + "\n")
+    text = [
+        "# Made by python -m tests.bench._learned_programmes; each line: impulse in N s, release of the",
+        "# plain push in 0.1 ms under " + ", ".join(f"{bar:g}" for bar in SUPPLY_BAR) + " bar",
+    ]
+    for k, impulse_n_s in enumerate(IMPULSES_N_S):
+        times = ",".join(f"{1e4 * found[bar][0][k]:.1f}" for bar in SUPPLY_BAR)
+        text.append(f"{impulse_n_s:.4f},{times}")
+    (folder / "releases.csv").write_text("\n".join(text) + "\n")
 
 
 if __name__ == "__main__":

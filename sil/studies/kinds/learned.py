@@ -239,8 +239,8 @@ def nominal(study: LoadedStudy, hardware: Mapping[str, Any]) -> dict[str, float]
     """Return the values that the tolerances are drawn around: those of the scenario with hardware."""
     loaded = study.loaded(texts_of(hardware))
     line, value = loaded.scenario.driveline, loaded.parameters.value
-    values = value("valve.D_rise"), value("valve.D_fall"), line.cone_gain_m, line.inertia_kg_m2
-    return dict(zip(Truck.NOMINAL, values, strict=True))
+    valves = (value(name) for name in Truck.NOMINAL[:-2])
+    return dict(zip(Truck.NOMINAL, (*valves, line.cone_gain_m, line.inertia_kg_m2), strict=True))
 
 
 def relearned(share: Floats, exchanged_at: int) -> float:

@@ -57,8 +57,8 @@ def test_two_stops_at_the_teeth_after_a_programme_make_many_pushes_plain() -> No
 
 def test_a_programme_is_broken_off_if_the_speeds_stop_falling_once_it_acts() -> None:
     whole, stuck = practised(), practised()
-    given = push(whole, 70.0)
-    broken_off = push(stuck, 70.0, stuck_at=0.4)
+    given = push(whole, 140.0)
+    broken_off = push(stuck, 140.0, stuck_at=0.5)
     assert stuck._programme == whole._programme is not None
     count = sum(duties != PUSHES for duties in broken_off)
     assert 0 < count < sum(duties != PUSHES for duties in given)

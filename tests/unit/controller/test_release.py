@@ -41,21 +41,6 @@ def test_a_fall_between_two_reports_gives_no_release() -> None:
     assert falling(10.0).is_open
 
 
-@pytest.mark.parametrize(
-    ("apart_rad_s", "has_stopped"),
-    [
-        ((17.0, 15.0, 14.8, 14.5), True),
-        ((17.0, 15.0, 14.8, 13.5), False),
-        ((17.0, 16.5), False),
-        ((19.9, 19.8, 19.7), False),
-        ((5.0, 1.5, 1.4, 0.0), False),
-    ],
-    ids=["stopped", "goes on", "two reports", "not begun", "released"],
-)
-def test_speeds_that_no_longer_fall(apart_rad_s: tuple[float, ...], has_stopped: bool) -> None:
-    assert falling(*apart_rad_s).has_stopped(20.0) is has_stopped
-
-
 def test_the_arrival_is_between_two_samples_and_only_while_the_speeds_fall() -> None:
     """Samples of 2 ms: 9 mm, then 11.8 mm; the teeth are passed at 10.8 mm."""
     samples = [Sample(raw_m, raw_m, 0.0) for raw_m in (0.009, 0.0118)]

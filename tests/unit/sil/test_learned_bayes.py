@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from tests.bench._learned_bayes import Process
+from tests.bench._learned_bayes import Process, acts, candidates
+from tests.bench._learned_programmes import NONE, tidy
 
 OWN = Process(2.0, 0.5, np.array([1.0, 4.0]))
 
@@ -55,3 +56,19 @@ def test_a_coordinate_that_says_nothing_gets_a_long_length() -> None:
     assert fitted.log_evidence(x, y) > Process(1.0, 0.1, np.array([1.0, 1.0])).log_evidence(x, y)
     mean, sd = fitted.at(np.array([[0.5, 0.0]]), x, y)
     assert mean[0] == pytest.approx(np.sin(1.5), abs=3.0 * sd[0] + 0.05)
+
+
+def test_a_filling_alone_is_the_last_one() -> None:
+    none, one = [-1.0] * 4, [12.0, 155.0, -1.0, -1.0]
+    found = acts(np.array([none, one, [4.0, 70.0, 12.0, 155.0]]), 0.13)
+    first, last = [-0.09, 0.03], [-0.01, 0.035]
+    plain = [-0.03, 0.0]
+    assert found == pytest.approx(np.array([plain * 2, plain + last, first + last]))
+
+
+def test_the_candidates_are_the_plain_push_and_tidy_programmes() -> None:
+    found = candidates(0.13, np.random.default_rng(0))
+    assert np.array_equal(found, tidy(found))
+    assert np.array_equal(found[:1], NONE)
+    assert (found[1:, 0] >= 0.0).mean() > 0.9
+    assert len(np.unique(found, axis=0)) > 1000

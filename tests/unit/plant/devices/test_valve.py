@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from math import log
+from math import exp, log
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
+from plant.devices.coil import CoilConfig, CoilValve
 from plant.devices.valve import Valve, ValveTiming, seconds_to_ns, switch_schedule
 from plant.parameters import load
 
@@ -56,14 +57,50 @@ def test_repeating_a_command_does_not_restart_its_delay() -> None:
     assert moves([(0, 0.98), (5 * MS, 0.5), (7 * MS, 0.35)]) == [(8 * MS, 1.0)]
 
 
-def test_smaller_duty_closes_sooner() -> None:
+def test_less_current_closes_sooner() -> None:
     assert BY_DUTY.fall_delay_ns(0.98) == pytest.approx(35 * MS, abs=0.1 * MS)
     assert BY_DUTY.fall_delay_ns(0.5) == seconds_to_ns(0.004 + 0.0293 * log(0.5 / 0.34))
     assert BY_DUTY.fall_delay_ns(0.335) == 4 * MS
-    delays = [BY_DUTY.fall_delay_ns(duty / 100) for duty in range(34, 101)]
+    delays = [BY_DUTY.fall_delay_ns(current / 100) for current in range(34, 101)]
     assert delays == sorted(delays)
-    held = moves([(0, 0.98), (50 * MS, 0.4), (100 * MS, 0.0)], BY_DUTY)
-    assert held == [(8 * MS, 1.0), (100 * MS + BY_DUTY.fall_delay_ns(0.4), 0.0)]
+
+
+def test_current_follows_the_duty_with_its_time_constant() -> None:
+    tau_ns = seconds_to_ns(0.0293)
+    assert BY_DUTY.current(0.2, 1.0, 0) == pytest.approx(0.2)
+    assert BY_DUTY.current(0.2, 1.0, tau_ns) == pytest.approx(1.0 - 0.8 * exp(-1.0))
+    assert BY_DUTY.current(0.98, 0.4, 40 * tau_ns) == pytest.approx(0.4)
+    halves = BY_DUTY.current(BY_DUTY.current(0.98, 0.4, 7 * MS), 0.4, 13 * MS)
+    assert halves == pytest.approx(BY_DUTY.current(0.98, 0.4, 20 * MS), rel=1e-12)
+    assert TIMING.current(0.98, 0.4, 0) == 0.4
+
+
+def test_short_filling_and_one_with_a_reduced_duty_end_sooner() -> None:
+    for duty, length_ms in ((0.98, 20), (0.98, 30), (0.5, 30), (0.98, 200)):
+        current = BY_DUTY.current(BY_DUTY.current(0.0, 0.98, 10 * MS), duty, (length_ms - 10) * MS)
+        given = [(0, 0.0), (20 * MS, 0.98), (30 * MS, duty), ((20 + length_ms) * MS, 0.0)]
+        closes_ns = (20 + length_ms) * MS + BY_DUTY.fall_delay_ns(current)
+        assert moves(given, BY_DUTY) == [(28 * MS, 1.0), (closes_ns, 0.0)]
+    assert BY_DUTY.fall_delay_ns(BY_DUTY.current(0.0, 0.98, 20 * MS)) < 15 * MS
+
+
+@pytest.mark.parametrize("steps", [[(20, 0.98)], [(30, 0.98)], [(50, 0.98)], [(50, 0.98), (20, 0.4)],
+                                   [(50, 0.98), (50, 0.5)], [(200, 0.98)]])  # fmt: skip
+def test_closing_by_the_current_agrees_with_the_magnetic_circuit(
+    steps: list[tuple[int, float]],
+) -> None:
+    def closes(valve: Valve) -> float:
+        valve.command(0, 0.0)
+        now_ns = 10 * MS
+        for length_ms, duty in steps:
+            valve.command(now_ns, duty)
+            now_ns += length_ms * MS
+        valve.command(now_ns, 0.0)
+        (_, opened), (instant_ns, closed) = valve.moves(now_ns + 100 * MS)
+        assert (opened, closed) == (1.0, 0.0)
+        return 1e-6 * (instant_ns - now_ns)
+
+    assert closes(Valve(BY_DUTY)) == pytest.approx(closes(CoilValve(TIMING, CoilConfig())), abs=2.5)
 
 
 @pytest.mark.parametrize("duty", [-0.01, 1.01, float("nan"), float("inf")])

@@ -17,7 +17,7 @@ from sil.studies.load_study import SHIPPED, load_study
 from sil.studies.table import read_table, row_groups
 
 SHIPPED_STUDY = SHIPPED / "learned.toml"
-NOMINAL = dict(zip(Truck.NOMINAL, (0.008, 0.035, 0.09, 0.25), strict=True))
+NOMINAL = dict(zip(Truck.NOMINAL, (0.008, 0.035, 0.004, 0.0293, 0.09, 0.25), strict=True))
 POPULATION = load_study("learned").study
 TABLE = POPULATION.truck
 
@@ -61,6 +61,20 @@ def test_state_is_carried_from_shift_to_shift() -> None:
     assert np.median(np.abs(np.diff(unit_k))) < 1.0 < np.ptp(unit_k)
     assert 7.5e5 < supply_pa.min() < supply_pa.max() == 9e5
     assert np.mean(np.diff(supply_pa) < 0.0) > 0.6  # the compressor runs now and then
+
+
+def test_the_closing_of_a_valve_scales_with_its_delay_or_is_constant() -> None:
+    shifts, _exam = Truck(TABLE, POPULATION.factor, FleetTable(shifts=5), 1, NOMINAL).shifts()
+    for each in shifts:
+        of = each.settings
+        assert of["plant.closing_follows_duty"] is True
+        settled_s = of["valve.fall_base"] + of["valve.fall_tau"] * math.log(0.98 / 0.34)
+        assert settled_s == pytest.approx(of["valve.D_fall"], abs=1e-4)
+        assert each.known["controller.strategy_parameters.closing_follows_current"] is True
+    constant = truck_table(TABLE, {"closing_follows_current": 0.0})
+    shifts, _exam = Truck(constant, POPULATION.factor, FleetTable(shifts=2), 1, NOMINAL).shifts()
+    assert "plant.closing_follows_duty" not in shifts[0].settings
+    assert shifts[0].known["controller.strategy_parameters.closing_follows_current"] is False
 
 
 def test_exchanged_valves_open_later_in_every_second_truck() -> None:
