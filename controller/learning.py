@@ -251,11 +251,12 @@ class Sensitivities(Correction):
             for row in (self.values[at : at + 5] for at in range(5, 30, 5))
         ]
         for k in range(5):
-            moved = self.values[k] + of[k] / total * error_s
+            gain = of[k] / total
+            moved = self.values[k] + gain * error_s
             lowest = self.least.get(k, -self.largest[k])
             self.values[k] = min(max(moved, lowest), self.largest[k])
-            for j in range(5):
-                self.values[5 + 5 * k + j] -= of[k] * of[j] / total
+            for j, each in enumerate(of, 5 + 5 * k):
+                self.values[j] -= gain * each
         leans = self.forgets * self.values[30] + error_s / sqrt(total)
         if abs(leans) > self.leaning:
             leans = 0.0

@@ -52,13 +52,14 @@ class Table(NamedTuple):
     """Releases and programmes for one supply pressure.
 
     log_impulse: logarithm of the first impulse in N s, and the step from one to the next. plain_s:
-    releases of the plain push with these impulses. rows: by strength, over rows_s, equally spaced.
+    releases of the plain push with these impulses. rows: by strength, over rows_s, which are step_s apart.
     """
 
     supply_pa: float
     log_impulse: tuple[float, float]
     plain_s: tuple[float, ...]
     rows_s: tuple[float, ...]
+    step_s: float
     rows: tuple[tuple[Programme, ...], ...]
 
     def row(self, plain_s: float, step: int, strengths: Sequence[int]) -> Programme | None:
@@ -67,9 +68,8 @@ class Table(NamedTuple):
         The second nearest if only that can still begin, then those of the next strength; None if none can,
         or beyond the table.
         """
-        first_s, last = self.rows_s[0], len(self.rows_s) - 1
-        at = (plain_s - first_s) / (self.rows_s[1] - first_s)
-        if not 0.0 <= at < last:
+        at = (plain_s - self.rows_s[0]) / self.step_s
+        if at < 0.0 or plain_s >= self.rows_s[-1]:
             return None
         before = int(at)
         after = before + 1
@@ -169,5 +169,6 @@ def library() -> Library:
         programmes = tuple(zip(*found_of, strict=True))
         plain_s = tuple(1e-4 * times[1 + k] for times in numbers)
         rows_s = tuple(row.plain_s for row in programmes[CAREFUL])
-        tables.append(Table(1e5 * bar, axis, plain_s, rows_s, programmes))
+        step_s = (rows_s[-1] - rows_s[0]) / (len(rows_s) - 1)
+        tables.append(Table(1e5 * bar, axis, plain_s, rows_s, step_s, programmes))
     return Library(tables)

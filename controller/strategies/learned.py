@@ -43,8 +43,8 @@ WARM_K, DRAG_FOLD_K = 328.15, 26.0
 """A warm unit, and its cooling by which the drag of the oil, which is colder then, grows e-fold."""
 UNSTEADY_RAD_S = 12.0 * REPORT_RAD_S
 """A difference before the push that is further from the one before it is no speed."""
-TIMING_S = 0.0007
-"""Scatter of the time to which a report belongs."""
+TIMING_VARIANCE = 0.0007 * 0.0007
+"""Of the time to which a report belongs, s2."""
 KNOWN, KNOWN_S = (0.055, 0.05), (0.0025, 0.0016)
 """Scatter of the release for which the careful and the strong programmes were made: of the impulse,
 relative, and in s, whichever is less."""
@@ -58,6 +58,7 @@ BEARS, BEARS_MORE = (0.14, 0.062), (0.2315, 0.112)
 and the strong ones than that of their level: at `LIKELY` and at `UNLIKELY` standard deviations."""
 LIKELY, UNLIKELY = 2.2, 4.0
 """Standard deviations that happen together with others; from which on something else is wrong."""
+UNLIKELY_SQUARE = UNLIKELY * UNLIKELY
 REST_S, REST_CLOSE_S, AIR_S, AIR_FOLD_S = 0.2, 0.035, 0.001, 0.0265
 """So long after neutral was filled through a valve with this closing delay, its air delays a release by
 so much, and less e-fold with every last; fitted to plain pushes of 25 to 230 N s, 0.16 to 0.3 s after."""
@@ -168,7 +169,7 @@ class Learned(IntoGear):
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
         self._broken_off, self._has_ended = False, False
-        self._careful, self._is_weighed = False, False
+        self._careful, self._is_weighed, self._is_fresh = False, False, False
         self._strong: tuple[int, ...] = ()
         self._tables: Nearby
         self._close_s, self._cold, self._drag, self._late_s = 0.0, 0.0, 0.0, 0.0
@@ -212,7 +213,9 @@ class Learned(IntoGear):
         likely, unlikely = heavier + LIKELY * sd, heavier + UNLIKELY * sd
         self._careful = likely <= BEARS[CAREFUL] and unlikely <= BEARS_MORE[CAREFUL]
         level = max(likely - BEARS[STRONG], unlikely - BEARS_MORE[STRONG])
-        self._strong = tuple(range(STRONG + max(ceil((level - LIGHTEST) / PER_LEVEL), 0), STRONG + LEVELS))
+        self._strong = tuple(
+            range(STRONG + max(ceil((level - LIGHTEST) / PER_LEVEL), 0), STRONG + LEVELS)
+        )
         coil_k = REFERENCE_K if shift.coil_k is None else shift.coil_k
         warmer_k = min(max(coil_k, COLDEST_K), WARMEST_K) - REFERENCE_K
         self._close_s = own.close_s * exp(own.close_per_k * warmer_k)
@@ -233,8 +236,9 @@ class Learned(IntoGear):
         if self._plain or self._waits or self._broken_off or self._expected is None:
             return PUSH
         step = round(progress.spent_s / self.config.period_s)
-        if self._programme is None:
+        if self._programme is None and not self._is_fresh:
             self._choose(self._expected, step)
+        self._is_fresh = False
         programme = self._programme
         if programme is None:
             return PUSH
@@ -257,7 +261,7 @@ class Learned(IntoGear):
         return held
 
     def _choose(self, expected: Expected, step: int) -> None:
-        """Take the programme that fits best if this is the step at which it begins."""
+        """Take the programme that fits best if it begins at this step or the next one."""
         strengths = self._strengths(expected)
         if not strengths:
             return
@@ -265,7 +269,7 @@ class Learned(IntoGear):
         delay_s = expected.offset.delay_s
         target_s = expected.used_s - delay_s - self.parameters.late_s
         programme = table.row(target_s, step, strengths)
-        if programme is None or step < programme.begin:
+        if programme is None or step + 1 < programme.begin:
             return
         self._programme, self._target_s, self._delay_s = programme, target_s, delay_s
 
@@ -294,7 +298,9 @@ class Learned(IntoGear):
             self._last_rad_s = apart_rad_s
             self._sum_rad_s += apart_rad_s
             self._count += 1
-            if self._count > 1:  # the first step has enough to do
+            # in turn with choosing a programme, which is as much to do
+            self._is_fresh = self._count % 2 == 0 and self._programme is None
+            if self._is_fresh:
                 self._expect(self._sum_rad_s / self._count)
         elif self._expected is not None and self._release.released_s is None:
             before_rad_s = self._sum_rad_s / self._count
@@ -345,12 +351,12 @@ class Learned(IntoGear):
         spent, rate_s = table.spent(at_s - delay_s)
         found_s = table.release(spent - log(given))[0] + delay_s
         noise = REPORT_RAD_S * self._count / (given * self._sum_rad_s)
-        timing = (TIMING_S * TIMING_S + offset.timing) / (rate_s * rate_s)
+        timing = (TIMING_VARIANCE + offset.timing) / (rate_s * rate_s)
         slope_s = expected.context.slope_s
         variance = (noise * noise + timing) * slope_s * slope_s
         total = offset.variance + variance
         later_s = found_s - expected.prior_s
-        unlikely = later_s * later_s > UNLIKELY * UNLIKELY * total
+        unlikely = later_s * later_s > UNLIKELY_SQUARE * total
         if not is_measured and (later_s < 0.0 or not unlikely):
             return
         self._found = found_s, variance
@@ -366,8 +372,9 @@ class Learned(IntoGear):
         Early in a push a filling delays by more than in the end, so nothing is said.
         """
         table = self._tables.nearest
-        if self._needed is None:
+        if self._needed is None:  # enough for one step
             self._needed, _ = table.spent(programme.plain_s)
+            return False
         later_s = programme.released_s - programme.plain_s + LAGS_S
         spent, _ = table.spent(at_s - self._delay_s - later_s)
         least = exp(spent - self._needed)

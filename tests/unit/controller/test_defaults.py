@@ -103,7 +103,7 @@ def test_the_message_of_a_value_out_of_bounds_has_its_unit(make: Any, message: s
 
 
 def test_commands_and_defaults_of_a_push() -> None:
-    assert (PUSH, BRAKE, REST) == ((True, False), (False, True), (False, False))
+    assert (PUSH, BRAKE, REST) == ((True, False, None), (False, True, None), (False, False, None))
     assert Progress(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
     nobody = ShiftContext(
         Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None)

@@ -35,7 +35,7 @@ def row(plain_s: float, begin: int) -> Programme:
 def table(*begins: int) -> Table:
     rows = tuple(row(0.1 + 0.01 * k, begin) for k, begin in enumerate(begins))
     times = tuple(each.plain_s for each in rows)
-    return Table(9e5, (log(20.0), 0.1), times, times, (rows,) * 2)
+    return Table(9e5, (log(20.0), 0.1), times, times, 0.01, (rows,) * 2)
 
 
 @pytest.mark.parametrize("supply_pa", SUPPLIES_PA)
@@ -123,7 +123,7 @@ def test_a_programme_that_can_no_longer_begin_is_not_taken() -> None:
 def test_those_of_the_next_strength_are_taken_if_they_can_still_begin() -> None:
     early, late = table(5, 5, 5).rows[0], table(9, 9, 9).rows[0]
     times = tuple(each.plain_s for each in early)
-    own = Table(9e5, (log(20.0), 0.1), times, times, (late, early))
+    own = Table(9e5, (log(20.0), 0.1), times, times, 0.01, (late, early))
     assert own.row(0.101, 5, (1, 0)) == early[0]
     assert own.row(0.101, 6, (1, 0)) == late[0]
     assert own.row(0.101, 6, (1,)) is None

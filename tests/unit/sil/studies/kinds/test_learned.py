@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from controller.strategies.learned import Learned
 from sil.cli import main
 from sil.studies.fleet import FleetTable, Truck, truck_table
 from sil.studies.kinds import learned
 from sil.studies.load_study import SHIPPED, load_study
 from sil.studies.table import read_table, row_groups
+from tests.bench.strategies import operations
 
 SHIPPED_STUDY = SHIPPED / "learned.toml"
 NOMINAL = dict(zip(Truck.NOMINAL, (0.008, 0.035, 0.004, 0.0293, 0.09, 0.25), strict=True))
@@ -191,6 +194,29 @@ def test_an_input_speed_that_jumps_before_the_request_makes_the_push_plain() -> 
             assert not (start_s and differs)
             acted += differs
     assert acted > 3
+
+
+def test_no_step_of_a_truck_costs_more_than_100_operations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor what follows a shift more than 300: in shifts of all kinds, not only in the shipped scenario."""
+    counts: dict[str, list[int]] = {"command": [], "ended": []}
+    for name, found in counts.items():
+        plain = getattr(Learned, name)
+
+        def counting(
+            self: Learned, *arguments: Any, plain: Any = plain, found: list[int] = found
+        ) -> Any:
+            answer, counted = operations(plain, self, *arguments)
+            found.append(counted)
+            return answer
+
+        monkeypatch.setattr(Learned, name, counting)
+    study = load_study(str(SHIPPED_STUDY))
+    shifts, _exam = Truck(
+        TABLE, POPULATION.factor, FleetTable(shifts=16, seed=3), 2, NOMINAL
+    ).shifts()
+    list(learned.run_shifts(study.loaded, {"controller.strategy": "learned"}, shifts))
+    assert 60 < max(counts["command"]) <= 100
+    assert 100 < max(counts["ended"]) <= 300
 
 
 @pytest.mark.slow
