@@ -4,7 +4,8 @@ python -m tests.bench._learned_limits [IMPULSE_N_S...]
 
 At 9 bar, for the release of the plain push with each impulse: the programme that `_learned_programmes`
 would take (`STRONG`) if some of what it has to bear were known to the last digit (`EXACT`). The draws
-then deviate by the other numbers alone; a valve that is suddenly slow stays among them. Every case
+then deviate by the other numbers alone; a valve that is suddenly slow stays among them. One case has valves whose
+closing delay is constant, so that a filling ends 35 ms after a step, 45 ms after it begins at least. Every case
 gets the programmes that were found for the others as well, so that more knowledge is not made worse
 by the search. Printed: mean impact of the near draws, and the hardest.
 """
@@ -12,17 +13,14 @@ by the search. Printed: mean impact of the near draws, and the hardest.
 from __future__ import annotations
 
 import sys
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from scipy.stats import chi
 
-from sil.studies.policies import Floats
+from sil.studies.policies import Arrivals, Floats, Ints
 from tests.bench import _learned_programmes as tables
-from tests.bench._learned_programmes import NONE, Pushes, Strength, grid, read, risk
+from tests.bench._learned_programmes import NONE, Pushes, grid, read
 
 NUMBERS = ("release", "mesh", *tables.SD)
 """Columns of the draws."""
@@ -36,6 +34,7 @@ EXACT: dict[str, tuple[str, ...]] = {
     "all exact but the meshing force": ("release", *NUMBERS[2:]),
     "all exact": NUMBERS,
 }
+CONSTANT, CLOSE_MS = "as the strong programmes, closing always after 35 ms", 35.0
 STRONG = tables.STRENGTHS[1]
 IMPULSES = (24.0, 40.0, 60.0, 83.0, 140.0, 230.0)
 BAR = 9.0
@@ -67,35 +66,30 @@ def deviations(exact: tuple[str, ...]) -> tuple[Floats, Floats]:
 
 
 class Case(Pushes):
-    """All draws at `BAR` in which some numbers are exact: they take the place of those of the tables."""
+    """All draws at `BAR` in which some numbers are exact.
 
-    def __init__(self, exact: tuple[str, ...]) -> None:
-        drawn, weight = deviations(exact)
-        z = {name: drawn[:, 2 + k] * sd for k, (name, sd) in enumerate(tables.SD.items())}
-        self._draws = {"DRAWN": drawn, "WEIGHT": weight, "Z": z}
-        with self._own():
-            super().__init__(BAR)
+    constant: valves close a constant delay after their command ends, which it does in a whole step.
+    """
 
-    def _own(self) -> AbstractContextManager[Any]:
-        return patch.multiple(tables, **self._draws)
+    def __init__(self, exact: tuple[str, ...], constant: bool = False) -> None:
+        self._constant = constant
+        super().__init__(BAR, *deviations(exact))
 
-    def aim(self, strength: Strength, release_s: float) -> None:
-        """Do what the base does with these draws."""
-        with self._own():
-            super().aim(strength, release_s)
-
-    def best(self, pool: Floats, hunts: int, turns: int) -> tuple[Floats, float]:
-        """Do what the base does with these draws."""
-        with self._own():
-            return super().best(pool, hunts, turns)
+    def under(self, programmes: Floats, which: Ints) -> Arrivals:
+        """Return arrivals [n, which] of programmes [n, 4]."""
+        made = programmes.copy()
+        if self._constant:
+            steps = np.round(0.1 * (made[:, 1::2] - CLOSE_MS))
+            steps = np.maximum(steps, made[:, 0::2] + 1.0)
+            made[:, 1::2] = np.where(made[:, 0::2] >= 0.0, 10.0 * steps + CLOSE_MS, -1.0)
+        return super().under(made, which)
 
     def softest(self, pool: Floats) -> Floats:
         """Return the best programme [4] of a pool [n, 4] that is not too risky."""
         costs = self.costs(pool, tables.ALWAYS)
-        with self._own():
-            for programme in pool[np.argsort(costs, kind="stable")]:
-                if risk(self.fails(programme)) <= tables.RISK:
-                    return np.asarray(programme)
+        for programme in pool[np.argsort(costs, kind="stable")]:
+            if self.risk(self.fails(programme)) <= tables.RISK:
+                return np.asarray(programme)
         raise AssertionError("the plain push, which is in every pool, is not risky")
 
 
@@ -126,8 +120,8 @@ def table(cases: list[Case], impulse_n_s: float) -> list[tuple[float, float]]:
 
 def main(impulses: list[float]) -> None:
     """Print a column for each impulse."""
-    names = ["plain push", *EXACT]
-    cases = [Case(exact) for exact in EXACT.values()]
+    names = ["plain push", CONSTANT, *EXACT]
+    cases = [Case((), constant=True), *(Case(exact) for exact in EXACT.values())]
     columns = []
     for impulse_n_s in impulses:
         columns.append(table(cases, impulse_n_s))

@@ -124,12 +124,6 @@ DRAWN, WEIGHT = draws()
 ALWAYS: Ints = np.arange(NEAR + KEYS + SLOW)
 FEW: Ints = np.array([0, 1, 2, 3, NEAR, NEAR + 1, NEAR + 2, *range(NEAR + 16, NEAR + 24)])
 FAR: Ints = np.arange(len(ALWAYS), len(DRAWN))
-Z = {name: DRAWN[:, 2 + k] * sd for k, (name, sd) in enumerate(SD.items())}
-
-
-def risk(failed: Ints) -> float:
-    """Return the probability of the far draws in which a programme is beyond the limits."""
-    return float(WEIGHT[failed - FAR[0]].sum())
 
 
 class Pushes(FamilyModel):
@@ -141,17 +135,19 @@ class Pushes(FamilyModel):
     lanes = True
     tolerance = 1e-4
 
-    def __init__(self, bar: float) -> None:
+    def __init__(self, bar: float, drawn: Floats = DRAWN, weight: Floats = WEIGHT) -> None:
+        self.drawn, self.weight = drawn, weight
+        z = {name: drawn[:, 2 + k] * sd for k, (name, sd) in enumerate(SD.items())}
         setups = []
-        for k in range(len(DRAWN)):
-            factors = {each: round(float(np.exp(Z[each][k])), 2)
+        for k in range(len(drawn)):
+            factors = {each: round(float(np.exp(z[each][k])), 2)
                        for each in ("friction", "inlet", "exhaust")}  # fmt: skip
-            case = replace(PUSH, supply_pressure_pa=1e5 * bar * float(np.exp(Z["supply"][k])),
+            case = replace(PUSH, supply_pressure_pa=1e5 * bar * float(np.exp(z["supply"][k])),
                            mounted=True, mesh_force_n=MESH_N, sync_impulse_n_s=60.0)  # fmt: skip
             setups.append(make_setup(varied(**factors), case))
         self.bar, self._twice = bar, True
-        self._rise_s = np.tile(OPEN_S + Z["rise"], (3, 1))
-        self._fall_s = np.tile(DUMMY_S + Z["end"], (3, 1))
+        self._rise_s = np.tile(OPEN_S + z["rise"], (3, 1))
+        self._fall_s = np.tile(DUMMY_S + z["end"], (3, 1))
         slow = slice(NEAR + KEYS, NEAR + KEYS + SLOW)
         self._rise_s[1, slow] *= SLOWER
         self._fall_s[1, slow] += (SLOWER - 1.0) * 0.02
@@ -186,8 +182,8 @@ class Pushes(FamilyModel):
         slope_s = float(np.interp(release_s, self.nominal_s, np.gradient(self.nominal_s, logs)))
         sd_s = np.hypot(min(strength.release_s, strength.impulse * slope_s), STEP_S / 12.0**0.5)
         self._give(
-            self._impulse_n_s(release_s + sd_s * DRAWN[:, 0]),
-            strength.heavier + strength.mesh * DRAWN[:, 1],
+            self._impulse_n_s(release_s + sd_s * self.drawn[:, 0]),
+            strength.heavier + strength.mesh * self.drawn[:, 1],
         )
         self.limit_s = np.full(self.loads, 0.6)
         plain = self.under(NONE, np.arange(self.loads))
@@ -228,6 +224,10 @@ class Pushes(FamilyModel):
         found: Ints = which[cost_m_s > self.plain_m_s[which] + HARDER_M_S]
         return found
 
+    def risk(self, failed: Ints) -> float:
+        """Return the probability of the far draws in which a programme is beyond the limits."""
+        return float(self.weight[failed - FAR[0]].sum())
+
     def passes(self, programme: Floats) -> bool:
         """Return whether a programme [4] is possible, softer than the plain push, and safe."""
         both = np.stack([programme, NONE[0]])
@@ -237,7 +237,7 @@ class Pushes(FamilyModel):
             np.allclose(tidy(both), both, atol=0.05)
             and bool(own < plain - WORTH_M_S)
             and bool((impact_m_s[0] - self.plain_m_s[ALWAYS]).max() <= HARDER_M_S)
-            and risk(self.fails(programme)) <= RISK
+            and self.risk(self.fails(programme)) <= RISK
         )
 
     def best(self, pool: Floats, hunts: int, turns: int) -> tuple[Floats, float]:
@@ -262,8 +262,10 @@ class Pushes(FamilyModel):
                 break
             failed = self.fails(pool[0])
             if self.passes(pool[0]):
-                return pool[0], risk(failed)
-            which = np.union1d(which, failed[np.argsort(np.linalg.norm(DRAWN[failed], axis=1))[:8]])
+                return pool[0], self.risk(failed)
+            which = np.union1d(
+                which, failed[np.argsort(np.linalg.norm(self.drawn[failed], axis=1))[:8]]
+            )
             starts = pool[np.argsort(self.costs(pool, which), kind="stable")][:2]
         return NONE[0], 0.0
 
@@ -381,7 +383,7 @@ def search(
             hunts = (2, 10) if is_begun else (5, 24)
             pool = np.concatenate([[own], grid(float(release_s)), np.array(near).reshape(-1, 4)])
             if (own >= 0.0).any() and model.passes(own):
-                found, likely = own, risk(model.fails(own))
+                found, likely = own, model.risk(model.fails(own))
             else:
                 found, likely = model.best(pool, *hunts)
             known[bar, n, k], lines[bar, n, k] = found, model.line(found)

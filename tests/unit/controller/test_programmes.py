@@ -22,7 +22,6 @@ from tests.bench._learned_programmes import (
     SUPPLY_BAR,
     Pushes,
     read,
-    risk,
 )
 
 SUPPLIES_PA = [1e5 * bar for bar in SUPPLY_BAR]
@@ -79,9 +78,9 @@ def test_programmes_are_soft_and_their_risk_is_small() -> None:
         programme = given[9.0, round((plain_s - FIRST_S) / STEP_S), strength]
         plain_m_s, impact_m_s = model.under(np.array([NONE[0], programme]), likely).cost_m_s
         assert impact_m_s.mean() < plain_m_s.mean() - 0.1
-        assert risk(model.fails(programme)) <= RISK
+        assert model.risk(model.fails(programme)) <= RISK
         early = programme - np.array([2.0, 0.0, 2.0, 0.0])
-        assert risk(model.fails(np.where(programme < 0.0, programme, early))) > 10.0 * RISK
+        assert model.risk(model.fails(np.where(programme < 0.0, programme, early))) > 10.0 * RISK
 
 
 def test_between_pressures_and_beyond_them() -> None:
