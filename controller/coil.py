@@ -56,16 +56,16 @@ class Coil:
         decays_s = rest_s - self._period_s - self._plunger_s
         duty = self._last(self.current, decays_s)
         if duty > full:
+            next_s = decays_s - self._period_s
             for kept in KEPT:
                 current = self._after(kept)
-                last = self._last(current, decays_s - self._period_s)
-                if LEAST <= last <= full:
+                last = self._last(current, next_s)
+                if LEAST <= last <= full and next_s >= 0.0:
                     return kept
             if last > full:
                 return KEPT[0]
             # too long for one more step, too short for two
-            late_s = self._decay_s(LEAST + (current - LEAST) * self._stays)
-            late_s += self._period_s - decays_s
+            late_s = self._decay_s(LEAST + (current - LEAST) * self._stays) - next_s
             return full if decays_s - self._decay_s(self._after(full)) < late_s else KEPT[-1]
         if duty >= LEAST and decays_s >= 0.0:
             return duty

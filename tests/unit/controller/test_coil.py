@@ -60,6 +60,17 @@ def test_most_ends_are_met_to_a_tenth_of_a_millisecond() -> None:
     assert max(missed) < 1.1e-3
 
 
+@pytest.mark.parametrize(
+    ("length_s", "missed_s"), [(0.0305, 0.0), (0.0312, -0.0003), (0.0345, 0.0009)]
+)
+def test_an_end_in_a_cold_valve_that_no_duties_reach_is_met_by_the_nearer_one(
+    length_s: float, missed_s: float
+) -> None:
+    """After two steps with the full duty the current is still small, after three it is too large."""
+    found_s = ends_s(duties(length_s, 0.046875), Valve(timing(0.046875)))
+    assert found_s - length_s == pytest.approx(missed_s, abs=1e-4)
+
+
 @pytest.mark.parametrize("length_s", [0.030, 0.040, 0.055, 0.08, 0.12])
 def test_the_magnetic_circuit_ends_a_filling_nearly_as_well(length_s: float) -> None:
     found_s = ends_s(duties(length_s), CoilValve(timing(), CoilConfig()))
