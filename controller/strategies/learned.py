@@ -73,9 +73,6 @@ more counts as an error of the release: the stay was stopped at the teeth, as by
 OFF_M = 0.0008
 """Position before the stay moves, from neutral, from which on the sensor or its temperature is wrong: by
 16 K, five times the scatter of a thermometer."""
-LAGS_S, LAGS_FROM = 0.012, 0.4
-"""A push that follows a programme and lags so much behind it does not do as expected: 7 standard deviations
-of what a strong programme is made for, 5 of a careful one; from this share of the impulse on."""
 LONGEST_S = 1e9
 SURPRISED = 1.9
 """Mean square of the latest errors, by what was expected of them, from which on every push is plain:
@@ -103,9 +100,8 @@ class Learned(IntoGear):
 
     Expected is the release of the table for speed difference and supply pressure, moved by what
     earlier shifts taught; while the synchronizer works, the fall of the difference corrects it until
-    the programme begins, and ends it if the synchronizer hardly works. Afterwards the measured release
-    teaches the next shift. Without valid speeds or position, with air left in neutral, and after a
-    fault it is the open loop. At most 100 operations a step, 300 after a shift. Assumes no torque.
+    the programme begins. Afterwards the measured release teaches the next shift. Without valid speeds
+    or position before it begins, with air left in neutral, and after a fault it is the open loop. At most 100 operations a step, 300 after a shift. Assumes no torque.
     """
 
     class Parameters(IntoGearParameters, frozen=True):
@@ -168,7 +164,7 @@ class Learned(IntoGear):
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
-        self._broken_off, self._has_ended = False, False
+        self._has_ended = False
         self._careful, self._is_weighed, self._is_fresh = False, False, False
         self._strong: tuple[int, ...] = ()
         self._tables: Nearby
@@ -179,9 +175,8 @@ class Learned(IntoGear):
         self._expected: Expected | None = None
         self._found: tuple[float, float] | None = None
         self._programme: Programme | None = None
-        self._coil = Coil(self.config.period_s, self.parameters.close_s)
+        self._coil: Coil
         self._filling, self._delay_s = 0, 0.0
-        self._needed: float | None = None
         self._target_s = 0.0
         self._release = Release(self.config.sensor.period_s, self.config.windows.stroke_m)
 
@@ -227,15 +222,22 @@ class Learned(IntoGear):
         self._plain |= abs(own.supply_pa - self._tables.nearest.supply_pa) > SUPPLY_PA
 
     def decide(self, progress: Progress) -> Command:
-        """Follow the programme that is expected to fit; its first act decides for it."""
+        """Follow the programme that is expected to fit.
+
+        Once its first filling has begun it is carried out, also without further reports: the release is
+        late by then, and a push that goes on plainly would stop harder than one without a filling.
+        """
         if progress.apart_rad_s is None:
             self._plain = True
         elif progress.apart_s > self._reported_s:
             self._reported_s = progress.apart_s
             self._note(progress, progress.apart_rad_s)
-        if self._plain or self._waits or self._broken_off or self._expected is None:
+        if self._waits or self._expected is None:
             return PUSH
         step = round(progress.spent_s / self.config.period_s)
+        if self._plain and (self._programme is None or step <= self._programme.begin):
+            self._programme = None
+            return PUSH
         if self._programme is None and not self._is_fresh:
             self._choose(self._expected, step)
         self._is_fresh = False
@@ -310,11 +312,8 @@ class Learned(IntoGear):
             at_s = progress.apart_s - self._expected.age_s
             if not self._release.speeds(at_s, apart_rad_s, before_rad_s):
                 self._plain = True
-            given = 1.0 - apart_rad_s / before_rad_s
             if self._programme is None:
-                self._follow(self._expected, at_s, given)
-            elif self._lags(self._programme, at_s, given):
-                self._broken_off = True
+                self._follow(self._expected, at_s, 1.0 - apart_rad_s / before_rad_s)
 
     def _expect(self, before_rad_s: float) -> None:
         """Compute when the plain push would be released, from the speeds before it."""
@@ -366,21 +365,6 @@ class Learned(IntoGear):
             variance=LONGEST_S if unlikely else (1.0 - weight) * offset.variance,
         )
 
-    def _lags(self, programme: Programme, at_s: float, given: float) -> bool:
-        """Return whether much less of the impulse is `given` than a programme that acts leaves of it.
-
-        Early in a push a filling delays by more than in the end, so nothing is said.
-        """
-        table = self._tables.nearest
-        if self._needed is None:  # enough for one step
-            self._needed, _ = table.spent(programme.plain_s)
-            return False
-        later_s = programme.released_s - programme.plain_s + LAGS_S
-        spent, _ = table.spent(at_s - self._delay_s - later_s)
-        least = exp(spent - self._needed)
-        noise = REPORT_RAD_S * self._count / self._sum_rad_s
-        return least > LAGS_FROM and given < least - UNLIKELY * noise
-
     def ended(self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool) -> None:
         """Compare the release with what was expected, and pass the difference to the method."""
         correction, expected, release = self.correction, self._expected, self._release
@@ -398,7 +382,7 @@ class Learned(IntoGear):
             error_s += max(travel_s - STALLED_S, 0.0)
         total = expected.offset.measured + variance
         limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(total))
-        is_outlier = self._broken_off or abs(error_s) > limit_s
+        is_outlier = abs(error_s) > limit_s
         correction.note(error_s, total, is_outlier)
         if is_outlier:
             correction.plain = self.parameters.plain_pushes

@@ -218,20 +218,14 @@ def test_without_speeds_and_without_a_fall_of_them() -> None:
     strategy = practised()
     assert plain(push(strategy, 5.0))
     assert strategy.correction.values == practised().correction.values
-    strategy = practised()
-    given = push(strategy, 140.0, lost_ms=150)
-    assert given[15:] == [PUSHES] * len(given[15:])
-    assert strategy.correction.values == practised().correction.values
 
 
 @pytest.mark.parametrize("impulse_n_s", [45.0, 100.0])
-def test_a_synchronizer_that_works_far_too_little_ends_the_programme(impulse_n_s: float) -> None:
-    whole, heavy = practised(), practised()
-    filled = [sum(duties.n > 0.0 for duties in push(unit, impulse_n_s, friction=friction))
-              for unit, friction in ((whole, 1.0), (heavy, 6.0))]  # fmt: skip
-    assert filled[1] < filled[0]
-    assert heavy._broken_off and not whole._broken_off
+def test_a_synchronizer_that_works_far_too_little_teaches_nothing(impulse_n_s: float) -> None:
+    heavy = practised()
+    push(heavy, impulse_n_s, friction=6.0)
     assert heavy.correction.plain == 2
+    assert heavy.correction.values == practised().correction.values
 
 
 def test_speeds_that_jump_before_the_push_make_it_plain() -> None:

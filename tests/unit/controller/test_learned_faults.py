@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from controller.position import Estimate
-from tests.unit.controller.test_learned import PUSHES, plain, practised, push
+from tests.unit.controller.test_learned import plain, practised, push
 
 
 def test_a_push_that_goes_on_after_its_end_teaches_once_and_the_next_two_are_plain() -> None:
@@ -26,17 +26,28 @@ def test_a_position_before_the_push_that_is_not_neutral_makes_it_plain(
     assert plain(push(strategy, 60.0, rest_m=rest_m)) != acts
 
 
-def test_a_programme_that_has_begun_is_broken_off_if_the_synchronizer_does_not_work() -> None:
-    whole, late = practised(), practised()
-    given = push(whole, 70.0)
-    acted = whole._programme
-    assert acted is not None
-    broken_off = push(late, 70.0, begin_ms=140)
-    assert late._programme is not None
-    assert acted == late._programme
-    count = sum(duties != PUSHES for duties in broken_off)
-    assert 0 < count < sum(duties != PUSHES for duties in given)
-    assert late.correction.plain == 2
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_programme_that_has_begun_is_carried_out_without_speeds_and_teaches_nothing(
+    begun: bool,
+) -> None:
+    """Breaking it off after its first filling made stops 0.05 to 0.08 m/s harder in trucks."""
+    whole, lost = practised(), practised()
+    given = push(whole, 140.0)
+    assert whole._programme is not None
+    begin_ms = 10 * whole._programme.begin
+    found = push(lost, 140.0, lost_ms=begin_ms + 10 if begun else begin_ms)
+    assert (found == given) == begun
+    assert plain(found) != begun
+    assert lost.correction.values == practised().correction.values != whole.correction.values
+
+
+def test_speeds_that_stay_as_they_are_do_not_end_a_programme_but_make_the_next_pushes_plain() -> (
+    None
+):
+    whole, stuck = practised(), practised()
+    assert push(stuck, 140.0, stuck_at=0.5) == push(whole, 140.0)
+    assert (stuck.correction.plain, whole.correction.plain) == (2, 0)
+    assert stuck.correction.values == practised().correction.values
 
 
 def test_two_stops_at_the_teeth_after_a_programme_make_many_pushes_plain() -> None:
@@ -53,12 +64,3 @@ def test_two_stops_at_the_teeth_after_a_programme_make_many_pushes_plain() -> No
     pushes = [plain(push(strategy, 140.0)) for _ in range(30)]
     assert all(pushes[:6])
     assert not pushes[-1]
-
-
-def test_a_programme_is_broken_off_if_the_speeds_stop_falling_once_it_acts() -> None:
-    whole, stuck = practised(), practised()
-    given = push(whole, 140.0)
-    broken_off = push(stuck, 140.0, stuck_at=0.5)
-    assert stuck._programme == whole._programme is not None
-    count = sum(duties != PUSHES for duties in broken_off)
-    assert 0 < count < sum(duties != PUSHES for duties in given)
