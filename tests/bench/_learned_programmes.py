@@ -145,7 +145,7 @@ class Pushes(FamilyModel):
             case = replace(PUSH, supply_pressure_pa=1e5 * bar * float(np.exp(z["supply"][k])),
                            mounted=True, mesh_force_n=MESH_N, sync_impulse_n_s=60.0)  # fmt: skip
             setups.append(make_setup(varied(**factors), case))
-        self.bar, self._twice = bar, True
+        self._twice = True
         self._rise_s = np.tile(OPEN_S + z["rise"], (3, 1))
         self._fall_s = np.tile(DUMMY_S + z["end"], (3, 1))
         slow = slice(NEAR + KEYS, NEAR + KEYS + SLOW)
@@ -228,17 +228,14 @@ class Pushes(FamilyModel):
         """Return the probability of the far draws in which a programme is beyond the limits."""
         return float(self.weight[failed - FAR[0]].sum())
 
-    def passes(self, programme: Floats) -> bool:
-        """Return whether a programme [4] is possible, softer than the plain push, and safe."""
-        both = np.stack([programme, NONE[0]])
-        impact_m_s = self.under(both, ALWAYS).cost_m_s
-        own, plain = self.costs(both, ALWAYS)
-        return (
-            np.allclose(tidy(both), both, atol=0.05)
-            and bool(own < plain - WORTH_M_S)
-            and bool((impact_m_s[0] - self.plain_m_s[ALWAYS]).max() <= HARDER_M_S)
-            and self.risk(self.fails(programme)) <= RISK
-        )
+    def is_softer(self, programme: Floats, which: Ints) -> bool:
+        """Return whether a programme [4] is worth more than the plain push, by its cost in some draws."""
+        own, plain = self.costs(np.stack([programme, NONE[0]]), which)
+        return bool(own < plain - WORTH_M_S)
+
+    def is_safe(self, programme: Floats, failed: Ints) -> bool:
+        """Return whether a programme [4] is within the limits, given the far draws in which it is not."""
+        return self.risk(failed) <= RISK and not len(self.fails(programme, ALWAYS))
 
     def best(self, pool: Floats, hunts: int, turns: int) -> tuple[Floats, float]:
         """Return the best programme [4] near those of a pool that is not too risky, and its risk.
@@ -257,11 +254,10 @@ class Pushes(FamilyModel):
                 found.append(self._hunted(start, which, turns if turn == 0 else AGAIN))
             pool = np.unique(found, axis=0)
             pool = pool[np.argsort(self.costs(pool, which), kind="stable")]
-            own, plain = self.costs(np.stack([pool[0], NONE[0]]), which)
-            if own >= plain - WORTH_M_S:
+            if not self.is_softer(pool[0], which):
                 break
             failed = self.fails(pool[0])
-            if self.passes(pool[0]):
+            if self.is_safe(pool[0], failed):
                 return pool[0], self.risk(failed)
             which = np.union1d(
                 which, failed[np.argsort(np.linalg.norm(self.drawn[failed], axis=1))[:8]]
@@ -382,8 +378,9 @@ def search(
             is_begun = (own >= 0.0).any() or ((bar, n, k) not in given and len(near) > 4)
             hunts = (2, 10) if is_begun else (5, 24)
             pool = np.concatenate([[own], grid(float(release_s)), np.array(near).reshape(-1, 4)])
-            if (own >= 0.0).any() and model.passes(own):
-                found, likely = own, model.risk(model.fails(own))
+            failed = model.fails(own)
+            if model.is_softer(own, ALWAYS) and model.is_safe(own, failed):
+                found, likely = own, model.risk(failed)
             else:
                 found, likely = model.best(pool, *hunts)
             known[bar, n, k], lines[bar, n, k] = found, model.line(found)
