@@ -240,6 +240,7 @@ class Firmware:
             clear_b=self._clear(now_ns, Chamber.F),
             clear_f=self._clear(now_ns, Chamber.B),
             recoverable=not (self._latched and self._latched & Fault.INTERNAL),
+            committed=self._strategy.is_committed,
         )
         machine.step(now_ns, observed)
         if machine.event is Event.LEG_STARTED:

@@ -101,6 +101,11 @@ class Strategy(abc.ABC):
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
         """Return the duties for the coming period; called once per step of a push."""
 
+    @property
+    def is_committed(self) -> bool:
+        """Whether a push is better carried out than given up if the position is lost now."""
+        return False
+
     def recall(self, memory: bytes) -> None:  # noqa: B027 - most strategies do not learn
         """Take the memory of an earlier power-on; one that cannot be read means the defaults."""
 

@@ -160,11 +160,17 @@ class Learned(IntoGear):
         """What was learned, with version and checksum."""
         return self.correction.dump()
 
+    @property
+    def is_committed(self) -> bool:
+        """From the start of a first filling to the end of the last one."""
+        programme = self._programme
+        return self._is_begun and programme is not None and self._filling < len(programme.fillings)
+
     def reset(self) -> None:
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
-        self._has_ended = False
+        self._has_ended, self._is_begun = False, False
         self._careful, self._is_weighed, self._is_fresh = False, False, False
         self._strong: tuple[int, ...] = ()
         self._tables: Nearby
@@ -235,7 +241,7 @@ class Learned(IntoGear):
         if self._waits or self._expected is None:
             return PUSH
         step = round(progress.spent_s / self.config.period_s)
-        if self._plain and (self._programme is None or step <= self._programme.begin):
+        if self._plain and not self._is_begun:
             self._programme = None
             return PUSH
         if self._programme is None and not self._is_fresh:
@@ -246,7 +252,10 @@ class Learned(IntoGear):
             return PUSH
         held = self._held(programme, step)
         self._coil.step(held)
-        return Command(True, True, held) if held > 0.0 else PUSH
+        if held <= 0.0:
+            return PUSH
+        self._is_begun = True
+        return Command(True, True, held)
 
     def _held(self, programme: Programme, step: int) -> float:
         """Return the duty of the neutral valve for the coming step."""

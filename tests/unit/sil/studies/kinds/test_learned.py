@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from controller.strategies.into_gear import Command, Progress
 from controller.strategies.learned import Learned
 from sil.cli import main
-from sil.studies.fleet import FleetTable, Truck, truck_table
+from sil.studies.fleet import Drawn, FleetTable, Truck, truck_table
 from sil.studies.kinds import learned
+from sil.studies.kinds.learned import Outcome
 from sil.studies.load_study import SHIPPED, load_study
 from sil.studies.table import read_table, row_groups
 from tests.bench.strategies import operations
@@ -194,6 +197,51 @@ def test_an_input_speed_that_jumps_before_the_request_makes_the_push_plain() -> 
             assert not (start_s and differs)
             acted += differs
     assert acted > 3
+
+
+def test_a_programme_that_has_begun_is_carried_out_if_the_position_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Given up with its first filling alone, the push would stop harder than a plain one."""
+    study = load_study(str(SHIPPED_STUDY))
+    shifts, _exam = Truck(TABLE, POPULATION.factor, FleetTable(shifts=40), 2, NOMINAL).shifts()
+    large = [each for each in shifts if each.impulse_n_s > 80.0]
+    decided: list[Command] = []
+    plain = Learned.decide
+
+    def noting(self: Learned, progress: Progress) -> Command:
+        decided.append(plain(self, progress))
+        return decided[-1]
+
+    monkeypatch.setattr(Learned, "decide", noting)
+
+    def run(shift: Drawn, lost_s: float | None) -> tuple[list[float | None], Outcome]:
+        fault = [{"kind": "off", "start_s": lost_s}] if lost_s is not None else []
+        lost = replace(shift, settings=shift.settings | {"sensor_fault": fault})
+        _, memory = learned.truth(shift)
+        decided.clear()
+        own = {"controller.strategy": "learned"}
+        (found,) = learned.run_shifts(study.loaded, own, [lost], memory)
+        return [each.held for each in decided], found
+
+    runs = ((each, *run(each, None)) for each in large)
+    shift, held, whole = next(found for found in runs if gap(found[1]) is not None)
+    request_s = float(shift.settings["request"][0]["at_s"])
+    begin = next(k for k, each in enumerate(held) if each is not None)
+    last = max(k for k, each in enumerate(held) if each is not None)
+    # the position counts as lost 50 ms after its last report
+    cut, late = run(shift, request_s + 0.01 * gap(held) - 0.05)
+    assert cut[: last + 1] == held[: last + 1]
+    assert last < len(cut) <= last + 3
+    assert late.lost == "was not confirmed"
+    assert late.impact_m_s == pytest.approx(whole.impact_m_s, abs=0.02)
+    assert len(run(shift, request_s + 0.01 * begin - 0.08)[0]) <= begin
+
+
+def gap(held: list[float | None]) -> int | None:
+    """Return the first step between two fillings, None without one."""
+    filled = [k for k, each in enumerate(held) if each is not None]
+    return next((k + 1 for k, after in pairwise(filled) if after > k + 1), None)
 
 
 def test_no_step_of_a_truck_costs_more_than_100_operations(monkeypatch: pytest.MonkeyPatch) -> None:
