@@ -19,10 +19,12 @@ NEVER = 1 << 30
 CAREFUL, STRONG = range(2)
 """Strengths: for what a new unit knows; the first of those for a release and a meshing force that are
 well known, one for each level of the force."""
-LIGHTEST, PER_LEVEL, LEVELS = 0.01, 0.09, 2
+LIGHTEST, PER_LEVEL, LEVELS = 0.01, 0.045, 5
 """Meshing force of the first level, by which share more than that of the tables, and from one to the next."""
 LATE = STRONG + LEVELS
-"""The last strength: a single filling, for a release that became well known when the others had to begin."""
+"""The last strength: a single filling, for a release that became known when the others had to begin."""
+SOFTEST = STRONG, STRONG + 1, STRONG + 2, CAREFUL, STRONG + 3, LATE, STRONG + 4
+"""The strengths in the order of their mean impact under a usual meshing force."""
 
 
 class Filling(NamedTuple):

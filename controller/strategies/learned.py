@@ -21,9 +21,9 @@ from controller.position import Estimate
 from controller.programmes import (
     CAREFUL,
     LATE,
-    LEVELS,
     LIGHTEST,
     PER_LEVEL,
+    SOFTEST,
     STRONG,
     Nearby,
     Programme,
@@ -171,7 +171,8 @@ class Learned(IntoGear):
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
         self._has_ended, self._is_begun = False, False
-        self._careful, self._is_weighed, self._is_fresh = False, False, False
+        self._is_weighed, self._is_fresh = False, False
+        self._careful: tuple[int, ...] = ()
         self._strong: tuple[int, ...] = ()
         self._tables: Nearby
         self._close_s, self._cold, self._drag, self._late_s = 0.0, 0.0, 0.0, 0.0
@@ -212,11 +213,12 @@ class Learned(IntoGear):
         self._is_weighed = variance <= WEIGHED_WELL * WEIGHED_WELL
         sd = sqrt(variance + MESH_VARIANCE)
         likely, unlikely = heavier + LIKELY * sd, heavier + UNLIKELY * sd
-        self._careful = likely <= BEARS[CAREFUL] and unlikely <= BEARS_MORE[CAREFUL]
+        is_light = likely <= BEARS[CAREFUL] and unlikely <= BEARS_MORE[CAREFUL]
+        self._careful = (CAREFUL, LATE) if is_light else ()
         level = max(likely - BEARS[STRONG], unlikely - BEARS_MORE[STRONG])
-        self._strong = tuple(
-            range(STRONG + max(ceil((level - LIGHTEST) / PER_LEVEL), 0), STRONG + LEVELS)
-        )
+        softest = STRONG + max(ceil((level - LIGHTEST) / PER_LEVEL), 0)
+        levels = (*range(softest, min(softest + 2, LATE)), *self._careful)
+        self._strong = tuple(each for each in SOFTEST if each in levels)
         coil_k = REFERENCE_K if shift.coil_k is None else shift.coil_k
         warmer_k = min(max(coil_k, COLDEST_K), WARMEST_K) - REFERENCE_K
         self._close_s = own.close_s * exp(own.close_per_k * warmer_k)
@@ -287,17 +289,16 @@ class Learned(IntoGear):
     def _strengths(self, expected: Expected) -> tuple[int, ...]:
         """Return which programmes are safe by what is known of the release and the meshing force.
 
-        The softest first; a harder one may still begin when it is too late for that.
+        The softer ones first; another may still begin when it is too late for them.
         """
         delay_s, (careful, strong) = expected.offset.delay_s, expected.limits
         if self.correction.surprise > SURPRISED or delay_s > SLOWEST_S:
             return ()
         if expected.context.share < LIGHT_SHARE and not self._is_weighed:
             return ()
-        least = (CAREFUL,) if self._careful and expected.variance <= careful else ()
         if delay_s <= SLOW_S and expected.variance <= strong:
-            return self._strong + least + ((LATE,) if least else ())
-        return least
+            return self._strong
+        return self._careful if expected.variance <= careful else ()
 
     def _note(self, progress: Progress, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""

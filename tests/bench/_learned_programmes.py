@@ -9,7 +9,8 @@ impacts under `NEAR` draws of what the unit does not know (`Strength`, `SD`); in
 0.04 m/s harder or 28 ms later than the plain push in the same draw, and the probability to be so, by
 `COUNT` draws 3.75 to 6 standard deviations away, weighted by how likely they are, must be below
 `RISK`. Where none is found the push is left plain. Draws in which a candidate fails count in the search from
-then on. Programmes of FOLDER that pass all that stay; rows without one are searched more thoroughly.
+then on. A programme of FOLDER that passes all that is kept unless that of a nearby row is better here; rows
+without one are searched more thoroughly.
 """
 
 from __future__ import annotations
@@ -36,11 +37,15 @@ from sil.studies.pulses import stem_spans
 SUPPLY_BAR = (8.0, 8.33, 8.67, 9.0)
 GROUPS = (9.0, 8.67), (8.0, 8.33)
 """Searched side by side; the second of each begins with the programmes of the first."""
-IMPULSES_N_S = np.geomspace(14.0, 290.0, 46)
+IMPULSES_N_S = 14.0 * (290.0 / 14.0) ** (np.arange(-4, 52) / 45.0)
+KEPT = slice(4, 50)
+"""Those of `controller/releases.csv`, 14 to 290 N s; draws deviate beyond."""
 FIRST_S, STEP_S, PER_STEP = 0.07, 0.00125, 8
 """First release of the tables, from one row to the next, and rows in a step of the firmware."""
 PERIOD = np.array([1.0, 10.0, 1.0, 10.0])
-IMPULSE_LIMITS_N_S = 16.0, 275.0
+IMPULSE_LIMITS_N_S = 14.5, 305.0
+EARLIEST = 2
+"""First step of a programme: before, the speeds are not yet known."""
 MESH_N = 1300.0
 OPEN_S, DUMMY_S = 0.0083, 0.010
 """Opening delay of a valve at 50 degrees Celsius; a closing delay, by which ends are commanded here."""
@@ -84,8 +89,8 @@ class Strength:
 STRENGTHS = (
     Strength("careful", 0.055, 0.0025, 0.03, 0.05),
     *(Strength(f"strong {level:.2f}", 0.05, 0.0016, level, 0.028)
-      for level in (0.01, 0.1)),
-    Strength("late", 0.055, 0.0016, 0.03, 0.05, twice=False),
+      for level in (0.01, 0.055, 0.1, 0.145, 0.19)),
+    Strength("late", 0.055, 0.0025, 0.03, 0.05, twice=False),
 )  # fmt: skip
 """The order is that of `controller.programmes`."""
 
@@ -237,16 +242,30 @@ class Pushes(FamilyModel):
         """Return whether a programme [4] is within the limits, given the far draws in which it is not."""
         return self.risk(failed) <= RISK and not len(self.fails(programme, ALWAYS))
 
+    def taken(self, pool: Floats, own: Floats) -> tuple[Floats, float]:
+        """Return the first of a pool, by cost, that is not too risky, and its risk; `own` is not."""
+        pool = np.concatenate([own[None], self._widest(pool)])
+        pool = pool[np.argsort(self.costs(pool, ALWAYS), kind="stable")]
+        for programme in pool[:PROOFS]:
+            failed = self.fails(programme)
+            if self.is_safe(programme, failed):
+                return programme, self.risk(failed)
+        return own, self.risk(self.fails(own))
+
+    def _widest(self, pool: Floats) -> Floats:
+        """Return the most promising of a pool [n, 4] and the plain push."""
+        pool = np.unique(np.concatenate([NONE, tidy(pool)]), axis=0)
+        if not self._twice:
+            pool = pool[pool[:, 2] < 0.0]
+        return pool[np.argsort(self.costs(pool, FEW, 4), kind="stable")][:WIDEST]
+
     def best(self, pool: Floats, hunts: int, turns: int) -> tuple[Floats, float]:
         """Return the best programme [4] near those of a pool that is not too risky, and its risk.
 
         hunts: from so many of the pool a search begins, and lasts so many turns.
         """
         which = ALWAYS
-        pool = np.unique(np.concatenate([NONE, tidy(pool)]), axis=0)
-        if not self._twice:
-            pool = pool[pool[:, 2] < 0.0]
-        pool = pool[np.argsort(self.costs(pool, FEW, 4), kind="stable")][:WIDEST]
+        pool = self._widest(pool)
         starts = alone(pool[np.argsort(self.costs(pool, which), kind="stable")], 1)[:hunts]
         for turn in range(PROOFS):
             found = [NONE[0], *starts]
@@ -293,6 +312,7 @@ def tidy(programmes: Floats) -> Floats:
     made[:, 0::2] = np.round(made[:, 0::2])
     none = (made[:, 0::2] < 0.0) | (made[:, 1::2] < 10.0 * made[:, 0::2] + 15.0)
     made[:, 0::2][none] = made[:, 1::2][none] = -1.0
+    made[:, 0::2][~none] = np.maximum(made[:, 0::2][~none], EARLIEST)
     swap = (made[:, 2] >= 0.0) & ((made[:, 2] < made[:, 0]) | (made[:, 0] < 0.0))
     made[swap] = made[swap][:, [2, 3, 0, 1]]
     shortest = 10.0 * made[:, 0::2] + 1e3 * SHORTEST_S
@@ -378,9 +398,8 @@ def search(
             is_begun = (own >= 0.0).any() or ((bar, n, k) not in given and len(near) > 4)
             hunts = (2, 10) if is_begun else (5, 24)
             pool = np.concatenate([[own], grid(float(release_s)), np.array(near).reshape(-1, 4)])
-            failed = model.fails(own)
-            if model.is_softer(own, ALWAYS) and model.is_safe(own, failed):
-                found, likely = own, model.risk(failed)
+            if model.is_softer(own, ALWAYS) and model.is_safe(own, model.fails(own)):
+                found, likely = model.taken(pool, own)
             else:
                 found, likely = model.best(pool, *hunts)
             known[bar, n, k], lines[bar, n, k] = found, model.line(found)
@@ -413,9 +432,9 @@ def main(folder: Path, workers: int) -> None:
         "# Made by python -m tests.bench._learned_programmes; each line: impulse in N s, release of the",
         "# plain push in 0.1 ms under " + ", ".join(f"{bar:g}" for bar in SUPPLY_BAR) + " bar",
     ]
-    for k, impulse_n_s in enumerate(IMPULSES_N_S):
+    for k in range(*KEPT.indices(len(IMPULSES_N_S))):
         times = ",".join(f"{1e4 * found[bar][0][k]:.1f}" for bar in SUPPLY_BAR)
-        text.append(f"{impulse_n_s:.4f},{times}")
+        text.append(f"{IMPULSES_N_S[k]:.4f},{times}")
     (folder / "releases.csv").write_text("\n".join(text) + "\n")
 
 

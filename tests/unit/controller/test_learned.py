@@ -10,7 +10,7 @@ import pytest
 from can_dbc.messages import Chamber, Gear
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
-from controller.programmes import CAREFUL, LEVELS, STRONG, Programme, library
+from controller.programmes import CAREFUL, LATE, LEVELS, STRONG, Programme, library
 from controller.strategies import Duties, ShiftContext, one_chamber
 from controller.strategies.learned import DRAG_FOLD_K, MEASURED_S, WARM_K, Learned
 from plant.devices.valve import Valve, ValveTiming
@@ -270,16 +270,19 @@ def weighed(mesh: float) -> Learned:
 
 
 def test_the_heavier_a_gear_is_known_to_be_the_more_its_programmes_bear() -> None:
-    """The levels are for 1 and 10 % more meshing force; beyond the last one the push is plain."""
+    """The levels are for 1 to 19 % more meshing force; beyond the last one the push is plain."""
     levels, given = [], []
-    for mesh in (-0.3, -0.05, 0.0, 0.08, 0.25):
+    for mesh in (-0.3, -0.05, 0.0, 0.08, 0.16, 0.25):
         strategy = weighed(mesh)
         given.append([push(strategy, n_s) for n_s in (22.0, 65.0, 95.0, 150.0, 230.0)])
         levels.append(strategy._strong)
-    assert levels == [(1, 2), (1, 2), (1, 2), (2,), ()]
-    lightest, lighter, usual, heavy, heaviest = given
-    assert lightest == lighter == usual != heavy
+    usually = STRONG, STRONG + 1, CAREFUL, LATE
+    heavily = STRONG + 2, CAREFUL, STRONG + 3, LATE
+    assert levels == [usually, usually, usually, heavily, (STRONG + 4,), ()]
+    lightest, lighter, usual, heavy, heavier, heaviest = given
+    assert lightest == lighter == usual != heavy != heavier
     assert not any(plain(each) for each in [*usual, *heavy])
+    assert not all(plain(each) for each in heavier)
     assert all(plain(each) for each in heaviest)
 
 
@@ -304,7 +307,7 @@ def test_a_programme_that_is_known_too_late_gives_way_to_one_of_the_next_level()
     strategy._programme = None
     strategy._choose(expected, step)
     assert strategy._programme == heavier[at]
-    assert LEVELS == 2
+    assert LEVELS == 5
 
 
 def test_a_release_counts_by_how_well_it_is_measured() -> None:
