@@ -178,8 +178,8 @@ class Protector(Generic[M]):
 class Receiver(Generic[M]):
     """The receiving end of one channel: checks each frame and says whether to trust the channel.
 
-    `message` is the message of the latest frame with status OK or OK_SOME_LOST and `message_ns`
-    its arrival; use it only while `state(now_ns)` is VALID: then it is there and not older than
+    `message` is the message of the latest frame with status OK or OK_SOME_LOST, `message_ns` its arrival
+    and `message_counter` its counter; use it only while `state(now_ns)` is VALID: then it is there and not older than
     the timeout. `counts` counts each status, `reason` says what was wrong with the latest frame of
     status ERROR.
     Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
@@ -193,6 +193,7 @@ class Receiver(Generic[M]):
         self.status = E2eStatus.NO_NEW_DATA
         self.message: M | None = None
         self.message_ns = -1
+        self.message_counter = 0
         self.counts: Counter[E2eStatus] = Counter()
         self.reason = ""
         _data_ids(message_type)  # refuses a message without protection
@@ -246,6 +247,7 @@ class Receiver(Generic[M]):
         if status in ACCEPTED:
             self.message = message
             self.message_ns = now_ns
+            self.message_counter = self._last_counter
         return status
 
     def _check_counter(self, counter: int) -> E2eStatus:

@@ -24,7 +24,7 @@ from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, GearWindows, PositionEstimator
 from controller.settings import nanoseconds
 from controller.shift import Event, Observation, ShiftMachine
-from controller.speeds import SpeedsWatch
+from controller.speeds import ReportTimes, SpeedsWatch
 from controller.strategies import OFF, Duties, ShiftContext, one_chamber
 
 BROADCAST_NS = 10_000_000
@@ -54,7 +54,10 @@ _status = lru_cache(ControllerStatus)
 
 
 class Inputs(NamedTuple):
-    """Messages since the last step: all new pulses, and the latest good one of the others."""
+    """Messages since the last step: all new pulses, and the latest good one of the others.
+
+    speeds_counter: of the end-to-end protection, None for speeds that have none.
+    """
 
     pulses: tuple[PositionPulse, ...] = ()
     request: ShiftRequest | None = None
@@ -62,6 +65,7 @@ class Inputs(NamedTuple):
     position_state: E2eState = E2eState.INIT
     request_state: E2eState = E2eState.INIT
     speeds_state: E2eState = E2eState.INIT
+    speeds_counter: int | None = None
 
 
 class Outputs(NamedTuple):
@@ -115,7 +119,8 @@ class Firmware:
         self._sampled_ns = 0
         self._passive = Chamber.NONE
         self._speeds: DrivelineSpeeds | None = None
-        self._speeds_ns = 0  # the step that saw them first
+        self._speeds_ns = 0
+        self._report_times = ReportTimes()
         self._watch = SpeedsWatch(config.shift.sync_tolerance_rad_s)
         self._duties = OFF  # of the latest step
 
@@ -144,7 +149,8 @@ class Firmware:
         speeds = inputs.speeds if inputs.speeds_state is E2eState.VALID else None
         self._run_machine(now_ns, estimate, requested, speeds)
         if speeds is not self._speeds:
-            self._speeds, self._speeds_ns = speeds, now_ns
+            self._speeds = speeds
+            self._speeds_ns = self._report_times.at_ns(now_ns, inputs.speeds_counter)
             at_rest = not self._machine.driving or self._machine.event is Event.LEG_STARTED
             self._watch.update(now_ns, speeds, self._windows.gear if at_rest else Gear.UNKNOWN)
         duties = self._drive(now_ns, estimate)

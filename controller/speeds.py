@@ -1,7 +1,9 @@
-"""Whether the reported shaft speeds can be those of shafts."""
+"""When the shaft speeds were reported, and whether they can be those of shafts."""
 
 from __future__ import annotations
 
+from can_dbc.codec import spec_of
+from can_dbc.e2e import COUNTERS
 from can_dbc.messages import DrivelineSpeeds, Gear
 
 FASTEST_RAD_S2 = 500.0
@@ -38,3 +40,31 @@ class SpeedsWatch:
         elif self._last and before and before[2] is speeds.referred:
             most_rad_s = 1e-9 * FASTEST_RAD_S2 * (now_ns - before[0]) + SCATTER_RAD_S
             self.steady &= abs(apart_rad_s - before[1]) <= most_rad_s
+
+
+class ReportTimes:
+    """The steps at which reports of the speeds should arrive.
+
+    A report whose sender and the firmware's step meet arrives by chance just before a step or just after it,
+    where the next step sees it first: as if it were a period older. Its counter says how many periods
+    after the one before it was sent. Of such reports all count as those that come later. A report that is more
+    than a period early, and those of a faster sender, count from the step that sees them.
+    """
+
+    def __init__(self) -> None:
+        self._cycle_ns = spec_of(DrivelineSpeeds).cycle_ns
+        self._last: tuple[int, int] | None = None  # time, counter
+        self._sent = 0  # reports at once
+
+    def at_ns(self, now_ns: int, counter: int | None) -> int:
+        """Return the time of a new report that a step sees first; counter: None for the step's own."""
+        last, before = self._last, self._sent
+        if last is None or counter is None:
+            self._last = None if counter is None else (now_ns, counter)
+            return now_ns
+        self._sent = (counter - last[1]) % COUNTERS
+        due_ns = last[0] + self._cycle_ns * self._sent
+        is_early = now_ns < due_ns <= now_ns + self._cycle_ns
+        at_ns = due_ns if is_early and min(before, self._sent) == 1 else now_ns
+        self._last = at_ns, counter
+        return at_ns

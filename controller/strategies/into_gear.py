@@ -27,7 +27,7 @@ class Progress(NamedTuple):
 
     spent_s: since the push began. new_samples: of the sensor, since the last step. apart_rad_s:
     distance of the shafts' speeds as last reported, None without a valid report; apart_s: when the
-    step that received it first was, since the push began (negative: before).
+    step that received it first was or should have been, since the push began (negative: before).
     """
 
     spent_s: float

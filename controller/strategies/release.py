@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from controller.position import Sample
 
+REPORT_S = 0.01
+"""Cycle of the reports of the speeds."""
 REPORT_RAD_S = 0.28
 """Scatter of a reported difference of the speeds; one below four times this is none."""
 ARRIVED = 0.9
@@ -63,9 +65,16 @@ class Release:
             return False
         last_s, rest_rad_s = self._falling[-1]
         differences = [before_rad_s, *(rad_s for _, rad_s in self._falling)]
-        fall = differences[-2] - rest_rad_s
+        fall = (differences[-2] - rest_rad_s) / self._cycles(-1)
         if len(self._falling) == 3:
-            fall += 0.7 * (fall - (differences[-3] - differences[-2]))
-        share = rest_rad_s / fall if fall > rest_rad_s else 1.0
-        self.released_s = last_s + share * (apart_s - last_s)
+            fall += 0.7 * (fall - (differences[-3] - differences[-2]) / self._cycles(-2))
+        cycles = max(round((apart_s - last_s) / REPORT_S), 1)
+        share = rest_rad_s / fall if fall * cycles > rest_rad_s else cycles
+        self.released_s = last_s + share * (apart_s - last_s) / cycles
         return True
+
+    def _cycles(self, at: int) -> int:
+        """Return by how many cycles of the reports one follows the one before; it may be missing."""
+        if len(self._falling) <= -at:
+            return 1
+        return max(round((self._falling[at][0] - self._falling[at - 1][0]) / REPORT_S), 1)

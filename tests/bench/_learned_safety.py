@@ -6,9 +6,9 @@ Trucks FIRST to LAST of the shipped population (seed `SEED`), each with one kind
 all with `KIND`, "loose contact" of a driving valve among them; every second one gets other valves
 after a third of its shifts. A shift is beyond the limits if it is more
 than 0.05 m/s harder or 30 ms longer than the open loop under the same fault, or loses a gear that
-the open loop engages. Where the fault ends the open loop's push before the stay arrives, the impact is compared
-with that of the open loop without a fault. The open loop is run only where the programme differs from
-the plain push.
+the open loop engages. Where the fault ends the open loop's push, which may stop it softly, the impact is compared with the
+harder of the open loop with and without the fault. The open loop is run only where the programme differs
+from the plain push.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def shortened(drawn: Drawn) -> Drawn:
 def broken(found: Outcome, open_loop: Outcome, impact_m_s: float) -> str:
     """Return what of a shift is beyond the limits against the open loop, empty if nothing is.
 
-    impact_m_s: of the open loop, without the fault if it does not arrive with it.
+    impact_m_s: of the open loop; if the fault ends its push, the harder one of with and without.
     """
     harder_m_s, longer_s = found.impact_m_s - impact_m_s, found.time_s - open_loop.time_s
     if found.lost and not open_loop.lost:
@@ -140,10 +140,11 @@ def beyond(number: int, shifts: int, kind: str) -> Iterator[tuple[int, bool, str
                 (found,) = run_shifts(study.loaded, own, [shift], memory)
                 if any(acted):
                     (open_loop,) = run_shifts(study.loaded, {}, [shift])
-                    arrives = open_loop
-                    if open_loop.lost == NOT_ARRIVED and found.lost != NOT_ARRIVED:
-                        (arrives,) = run_shifts(study.loaded, {}, [healthy])
-                    what = broken(found, open_loop, arrives.impact_m_s)
+                    impact_m_s = open_loop.impact_m_s
+                    if open_loop.lost:
+                        (whole,) = run_shifts(study.loaded, {}, [healthy])
+                        impact_m_s = max(impact_m_s, whole.impact_m_s)
+                    what = broken(found, open_loop, impact_m_s)
                 if not (found.lost or what):
                     break
             memory = recalled(kind, memory, found.memory, rng)
