@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from can_dbc.codec import spec_of
-from can_dbc.e2e import COUNTERS
+from can_dbc.contract import contract
 from can_dbc.messages import DrivelineSpeeds, Gear
 
+COUNTERS = 16
+"""Values of the counter of an end-to-end protected message."""
 FASTEST_RAD_S2 = 500.0
 """Change of the speed difference that no engine exceeds while the stay is in neutral (inferred: three
 times the ramp of an engine that synchronises)."""
@@ -52,7 +53,7 @@ class ReportTimes:
     """
 
     def __init__(self) -> None:
-        self._cycle_ns = spec_of(DrivelineSpeeds).cycle_ns
+        self._cycle_ns = contract()[DrivelineSpeeds.__name__].cycle_ns
         self._last: tuple[int, int] | None = None  # time, counter
         self._sent = 0  # reports at once
 
