@@ -76,7 +76,7 @@ OFF_M = 0.0008
 LONGEST_S = 1e9
 SURPRISED = 1.9
 """Mean square of the latest errors, by what was expected of them, from which on every push is plain:
-what the unit knows is not what it says. In 8 healthy trucks of 240 shifts each it never was."""
+what the unit knows is not what it says. So it was in 8 of 2,880 shifts of 20 healthy trucks."""
 
 
 class Expected(NamedTuple):
