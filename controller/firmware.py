@@ -56,7 +56,7 @@ _status = lru_cache(ControllerStatus)
 class Inputs(NamedTuple):
     """Messages since the last step: all new pulses, and the latest good one of the others.
 
-    speeds_counter: of the end-to-end protection, None for speeds that have none.
+    speeds_number: of their report among those that were sent, None if it is not known.
     """
 
     pulses: tuple[PositionPulse, ...] = ()
@@ -65,7 +65,7 @@ class Inputs(NamedTuple):
     position_state: E2eState = E2eState.INIT
     request_state: E2eState = E2eState.INIT
     speeds_state: E2eState = E2eState.INIT
-    speeds_counter: int | None = None
+    speeds_number: int | None = None
 
 
 class Outputs(NamedTuple):
@@ -150,7 +150,8 @@ class Firmware:
         self._run_machine(now_ns, estimate, requested, speeds)
         if speeds is not self._speeds:
             self._speeds = speeds
-            self._speeds_ns = self._report_times.at_ns(now_ns, inputs.speeds_counter)
+            number = None if speeds is None else inputs.speeds_number
+            self._speeds_ns = self._report_times.at_ns(now_ns, number)
             at_rest = not self._machine.driving or self._machine.event is Event.LEG_STARTED
             self._watch.update(now_ns, speeds, self._windows.gear if at_rest else Gear.UNKNOWN)
         duties = self._drive(now_ns, estimate)

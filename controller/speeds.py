@@ -5,13 +5,16 @@ from __future__ import annotations
 from can_dbc.contract import contract
 from can_dbc.messages import DrivelineSpeeds, Gear
 
-COUNTERS = 16
-"""Values of the counter of an end-to-end protected message."""
 FASTEST_RAD_S2 = 500.0
 """Change of the speed difference that no engine exceeds while the stay is in neutral (inferred: three
 times the ramp of an engine that synchronises)."""
 SCATTER_RAD_S = 1.6
 """Four standard deviations of the change between two reports of four speeds, each 0.2 rad/s off."""
+
+
+def cycle_ns() -> int:
+    """Return how often the speeds are reported."""
+    return contract()[DrivelineSpeeds.__name__].cycle_ns
 
 
 class SpeedsWatch:
@@ -46,26 +49,25 @@ class SpeedsWatch:
 class ReportTimes:
     """The steps at which reports of the speeds should arrive.
 
-    A report whose sender and the firmware's step meet arrives by chance just before a step or just after it,
-    where the next step sees it first: as if it were a period older. Its counter says how many periods
-    after the one before it was sent. Of such reports all count as those that come later. A report that is more
-    than a period early, and those of a faster sender, count from the step that sees them.
+    A report whose sender and the firmware's step meet arrives by chance just before a step or just
+    after it, where the next step sees it first: as if it were a cycle older. By its number among those
+    sent it was due so many cycles after the one before it. Of such reports all count as those that come
+    later. A report that is more than a cycle early, and those of a faster sender, count from the step that
+    sees them.
     """
 
     def __init__(self) -> None:
-        self._cycle_ns = contract()[DrivelineSpeeds.__name__].cycle_ns
-        self._last: tuple[int, int] | None = None  # time, counter
-        self._sent = 0  # reports at once
+        self._last: tuple[int, int] | None = None  # time, number
+        self._sent = 0  # since the one before that
 
-    def at_ns(self, now_ns: int, counter: int | None) -> int:
-        """Return the time of a new report that a step sees first; counter: None for the step's own."""
+    def at_ns(self, now_ns: int, number: int | None) -> int:
+        """Return the time of a new report that a step sees first; number: None for the step's own."""
         last, before = self._last, self._sent
-        if last is None or counter is None:
-            self._last = None if counter is None else (now_ns, counter)
-            return now_ns
-        self._sent = (counter - last[1]) % COUNTERS
-        due_ns = last[0] + self._cycle_ns * self._sent
-        is_early = now_ns < due_ns <= now_ns + self._cycle_ns
-        at_ns = due_ns if is_early and min(before, self._sent) == 1 else now_ns
-        self._last = at_ns, counter
+        at_ns, self._sent = now_ns, 0
+        if last is not None and number is not None:
+            self._sent = number - last[1]
+            due_ns = last[0] + cycle_ns() * self._sent
+            if now_ns < due_ns <= now_ns + cycle_ns() and min(before, self._sent) == 1:
+                at_ns = due_ns
+        self._last = None if number is None else (at_ns, number)
         return at_ns

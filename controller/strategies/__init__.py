@@ -49,8 +49,8 @@ class ShiftContext(NamedTuple):
     `energised_ns` is, in the order B, N, F, the last step whose output opened each valve (None before
     the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
     is input minus output speed as last reported, None without a valid report, and `apart_ns` the
-    step that received it first, or should have (`ReportTimes`). `coil_k` is the temperature of the sensor's coil as last reported.
-    `steady`: the speeds have not jumped (`SpeedsWatch`).
+    step that received it first, or should have (`ReportTimes`). `coil_k` is the temperature of the
+    sensor's coil as last reported. `steady`: the speeds have not jumped (`SpeedsWatch`).
     """
 
     leg: Gear

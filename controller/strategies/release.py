@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from controller.position import Sample
+from controller.speeds import cycle_ns
 
-REPORT_S = 0.01
-"""Cycle of the reports of the speeds."""
 REPORT_RAD_S = 0.28
 """Scatter of a reported difference of the speeds; one below four times this is none."""
 ARRIVED = 0.9
@@ -28,6 +27,7 @@ class Release:
         self.fastest_m_s = 0.0
         self._period_s = sample_period_s
         self._arrived_m = ARRIVED * stroke_m
+        self._cycle_s = 1e-9 * cycle_ns()
         self._before_m: float | None = None
         self._falling: tuple[tuple[float, float], ...] = ()
 
@@ -65,16 +65,18 @@ class Release:
             return False
         last_s, rest_rad_s = self._falling[-1]
         differences = [before_rad_s, *(rad_s for _, rad_s in self._falling)]
-        fall = (differences[-2] - rest_rad_s) / self._cycles(-1)
-        if len(self._falling) == 3:
-            fall += 0.7 * (fall - (differences[-3] - differences[-2]) / self._cycles(-2))
-        cycles = max(round((apart_s - last_s) / REPORT_S), 1)
+        times_s = [at_s for at_s, _ in self._falling]
+        fall = differences[-2] - rest_rad_s
+        if len(times_s) > 1:
+            fall /= self._cycles(times_s[-2], last_s)
+        if len(times_s) == 3:
+            before = (differences[-3] - differences[-2]) / self._cycles(times_s[0], times_s[1])
+            fall += 0.7 * (fall - before)
+        cycles = self._cycles(last_s, apart_s)
         share = rest_rad_s / fall if fall * cycles > rest_rad_s else cycles
         self.released_s = last_s + share * (apart_s - last_s) / cycles
         return True
 
-    def _cycles(self, at: int) -> int:
-        """Return by how many cycles of the reports one follows the one before; it may be missing."""
-        if len(self._falling) <= -at:
-            return 1
-        return max(round((self._falling[at][0] - self._falling[at - 1][0]) / REPORT_S), 1)
+    def _cycles(self, from_s: float, to_s: float) -> int:
+        """Return by how many cycles of the reports one follows another, between which some are missing."""
+        return max(round((to_s - from_s) / self._cycle_s), 1)

@@ -38,7 +38,7 @@ SUPPLY_BAR = (8.0, 8.33, 8.67, 9.0)
 GROUPS = (9.0, 8.67), (8.0, 8.33)
 """Searched side by side; the second of each begins with the programmes of the first."""
 IMPULSES_N_S = 14.0 * (290.0 / 14.0) ** (np.arange(-4, 52) / 45.0)
-KEPT = slice(4, 50)
+KEPT = range(4, 50)
 """Those of `controller/releases.csv`, 14 to 290 N s; draws deviate beyond."""
 FIRST_S, STEP_S, PER_STEP = 0.07, 0.00125, 8
 """First release of the tables, from one row to the next, and rows in a step of the firmware."""
@@ -243,7 +243,7 @@ class Pushes(FamilyModel):
         return self.risk(failed) <= RISK and not len(self.fails(programme, ALWAYS))
 
     def taken(self, pool: Floats, own: Floats) -> tuple[Floats, float]:
-        """Return the first of a pool, by cost, that is not too risky, and its risk; `own` is not."""
+        """Return the best programme [4] of a pool and a safe one, `own`, that is safe, and its risk."""
         pool = np.concatenate([own[None], self._widest(pool)])
         pool = pool[np.argsort(self.costs(pool, ALWAYS), kind="stable")]
         for programme in pool[:PROOFS]:
@@ -432,7 +432,7 @@ def main(folder: Path, workers: int) -> None:
         "# Made by python -m tests.bench._learned_programmes; each line: impulse in N s, release of the",
         "# plain push in 0.1 ms under " + ", ".join(f"{bar:g}" for bar in SUPPLY_BAR) + " bar",
     ]
-    for k in range(*KEPT.indices(len(IMPULSES_N_S))):
+    for k in KEPT:
         times = ",".join(f"{1e4 * found[bar][0][k]:.1f}" for bar in SUPPLY_BAR)
         text.append(f"{IMPULSES_N_S[k]:.4f},{times}")
     (folder / "releases.csv").write_text("\n".join(text) + "\n")

@@ -4,11 +4,11 @@ python -m tests.bench._learned_safety FIRST LAST SHIFTS [KIND]
 
 Trucks FIRST to LAST of the shipped population (seed `SEED`), each with one kind of fault in turn, or
 all with `KIND`, "loose contact" of a driving valve among them; every second one gets other valves
-after a third of its shifts. A shift is beyond the limits if it is more
-than 0.05 m/s harder or 30 ms longer than the open loop under the same fault, or loses a gear that
-the open loop engages. Where the fault ends the open loop's push, which may stop it softly, the impact is compared with the
-harder of the open loop with and without the fault. The open loop is run only where the programme differs
-from the plain push.
+after a third of its shifts. A shift is beyond the limits if it is more than 0.05 m/s harder or 30 ms
+longer than the open loop under the same fault, or loses a gear that the open loop engages. Where the
+fault ends the open loop's push, which may stop it softly, the impact is compared with the harder of the
+open loop with and without the fault. The open loop is run only where the programme differs from the
+plain push.
 """
 
 from __future__ import annotations
@@ -25,7 +25,14 @@ from scipy.stats import beta
 from controller.strategies.into_gear import PUSH
 from controller.strategies.learned import Learned
 from sil.studies.fleet import OWN, Drawn, FleetTable, Truck
-from sil.studies.kinds.learned import HARDER_M_S, LONGER_S, Outcome, nominal, run_shifts
+from sil.studies.kinds.learned import (
+    HARDER_M_S,
+    LONGER_S,
+    NOT_ARRIVED,
+    Outcome,
+    nominal,
+    run_shifts,
+)
 from sil.studies.load_study import load_study
 
 SEED = 19
@@ -33,7 +40,6 @@ HIT = 0.3
 """Share of the shifts that a fault hits which is not there for good."""
 UNCONFIRMED = "not confirmed: the sensor failed before"
 """A gear that is engaged, but the position's reports fail within the shift: counted separately."""
-NOT_ARRIVED = "did not arrive"
 OF_POSITION = "position", "frames lost"
 SHORT_S = 0.45
 KINDS = ("none", "update missed", "memory damaged", "thermometer", "speeds", "position", "valve",

@@ -59,6 +59,7 @@ TABLES_OPEN_S, TABLES_MESH_N = 0.0083, 1300.0
 HARDER_M_S = 0.05
 LONGER_S = 0.03
 """Limits against the open loop in the same shift."""
+NOT_ARRIVED = "did not arrive"
 RELEARNING = 10
 """Shifts over which an impact is averaged to say that it is as before the exchange."""
 RELEARNED = 1.1
@@ -104,7 +105,7 @@ def run_shifts(
         shift = run.shifts[-1]
         lost = "" if shift.confirmed_s is not None else "was not confirmed"
         if shift.shift_time_s is None:
-            lost = "did not arrive"
+            lost = NOT_ARRIVED
         yield Outcome(
             shift.impact_worst_m_s or 0.0,
             sum(impact.energy_j for impact in shift.impacts),

@@ -10,7 +10,7 @@ import pytest
 from can_dbc.messages import Chamber, Gear
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
-from controller.programmes import CAREFUL, LATE, LEVELS, STRONG, Programme, library
+from controller.programmes import CAREFUL, LATE, STRONG, Programme, library
 from controller.strategies import Duties, ShiftContext, one_chamber
 from controller.strategies.learned import DRAG_FOLD_K, MEASURED_S, WARM_K, Learned
 from plant.devices.valve import Valve, ValveTiming
@@ -307,7 +307,6 @@ def test_a_programme_that_is_known_too_late_gives_way_to_one_of_the_next_level()
     strategy._programme = None
     strategy._choose(expected, step)
     assert strategy._programme == heavier[at]
-    assert LEVELS == 5
 
 
 def test_a_release_counts_by_how_well_it_is_measured() -> None:

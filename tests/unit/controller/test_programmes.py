@@ -10,7 +10,20 @@ import numpy as np
 import pytest
 
 import controller
-from controller.programmes import CAREFUL, NEVER, STRONG, Filling, Programme, Table, library
+from controller.programmes import (
+    CAREFUL,
+    LATE,
+    LEVELS,
+    LIGHTEST,
+    NEVER,
+    PER_LEVEL,
+    SOFTEST,
+    STRONG,
+    Filling,
+    Programme,
+    Table,
+    library,
+)
 from tests.bench._learned_programmes import (
     ALWAYS,
     EARLIEST,
@@ -46,8 +59,8 @@ def test_every_table_is_there_and_consistent(supply_pa: float) -> None:
     assert exp(first) == pytest.approx(14.0, rel=0.01)
     assert exp(first + step * (len(found.plain_s) - 1)) == pytest.approx(290.0, rel=0.01)
     assert all(one < other for one, other in pairwise(found.plain_s))
-    assert found.rows_s[0] == pytest.approx(found.release(log(14.5))[0], abs=2 * STEP_S)
-    assert found.rows_s[-1] == pytest.approx(found.release(log(305.0))[0], abs=2 * STEP_S)
+    assert found.rows_s[0] == pytest.approx(found.release(log(14.5))[0], abs=1.01 * STEP_S)
+    assert found.rows_s[-1] == pytest.approx(found.release(log(305.0))[0], abs=1.01 * STEP_S)
     assert np.diff(found.rows_s) == pytest.approx(STEP_S, abs=1e-9)
     assert len(found.rows) == len(STRENGTHS)
     for strength, rows in enumerate(found.rows):
@@ -63,6 +76,14 @@ def test_every_table_is_there_and_consistent(supply_pa: float) -> None:
                 assert 0.01 * other.start > one.end_s - 1e-4
         acting = sum(bool(each.fillings) for each in rows)
         assert acting > 0.8 * len(rows), strength
+
+
+def test_the_firmware_has_the_strengths_that_were_searched() -> None:
+    levels = [LIGHTEST + PER_LEVEL * k for k in range(LEVELS)]
+    assert [each.heavier for each in STRENGTHS[STRONG:LATE]] == pytest.approx(levels)
+    assert [k for k, each in enumerate(STRENGTHS) if not each.twice] == [LATE]
+    assert STRENGTHS[CAREFUL].name == "careful"
+    assert sorted(SOFTEST) == list(range(len(STRENGTHS)))
 
 
 def test_programmes_are_soft_and_their_risk_is_small() -> None:
