@@ -393,6 +393,26 @@ def test_errors_larger_than_expected_make_it_plain_until_they_are_not() -> None:
     assert not plain(given)
 
 
+@pytest.mark.parametrize(
+    ("surprise", "without_report", "with_report"),
+    [
+        (1.0, True, True),
+        (1.19, True, True),
+        (1.21, False, True),
+        (1.89, False, True),
+        (1.91, False, False),
+    ],
+)
+def test_with_doubtful_errors_a_programme_needs_a_report_of_its_own_shift(
+    surprise: float, without_report: bool, with_report: bool
+) -> None:
+    """A programme for 35 N s has to begin before the reports tell its share, one for 60 N s does not."""
+    for impulse_n_s, acts in ((35.0, without_report), (60.0, with_report)):
+        strategy = practised()
+        strategy.correction.surprise = surprise
+        assert plain(push(strategy, impulse_n_s)) != acts
+
+
 def test_a_push_that_ends_before_the_release_teaches_nothing() -> None:
     strategy = practised()
     push(strategy, 140.0, until_ms=120)
@@ -416,14 +436,12 @@ def test_every_method_runs(method: str) -> None:
 
 
 def test_slow_valves_take_the_programmes_of_their_impulse_slower_ones_none() -> None:
+    usual = practised()
+    push(usual, 60.0)
+    assert usual._programme in TABLE.rows[STRONG]
     for delay_s, acts in ((0.003, True), (0.005, False)):
         strategy = practised()
         strategy.correction.values[3] = delay_s
-        given = push(strategy, 140.0)
-        assert plain(given) != acts
-        programme = strategy._programme
-        assert (programme is not None) == acts
-        if programme is not None:
-            assert programme in TABLE.rows[CAREFUL]
-            assert programme.plain_s < TABLE.release(log(140.0))[0] + 0.001
-            assert strategy._delay_s == delay_s
+        assert plain(push(strategy, 60.0)) != acts
+        assert strategy._programme == (usual._programme if acts else None)
+        assert strategy._delay_s == (delay_s if acts else 0.0)
