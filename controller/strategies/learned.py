@@ -102,7 +102,8 @@ class Learned(IntoGear):
     Expected is the release of the table for speed difference and supply pressure, moved by what
     earlier shifts taught; while the synchronizer works, the fall of the difference corrects it until
     the programme begins. Afterwards the measured release teaches the next shift. Without valid speeds
-    or position before it begins, with air left in neutral, and after a fault it is the open loop. At most 100 operations a step, 300 after a shift. Assumes no torque.
+    or position before it begins, with air left in neutral, and after a fault it is the open loop.
+    At most 100 operations a step, 300 after a shift. Assumes no torque.
     """
 
     class Parameters(IntoGearParameters, frozen=True):
