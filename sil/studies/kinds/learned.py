@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from can_dbc import typed_toml
 from controller.learning import Sensitivities
 from sil.files.quantity import counted
-from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
+from sil.report.figure import MS, Figure, Note, Panel, Rule, Series, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.bound_figures import KNOWN, SHIPPED, known_panel
@@ -362,14 +362,24 @@ def _possible(study: LoadedStudy, table: Table) -> Panel:
         x = 0.0 if label.split(" / ")[0] in knows else 200.0 * float(sd)  # type: ignore[arg-type]
         exam_m_s = table.numbers["examined_worst_m_s"][which]
         ends = np.array([np.median(exam_m_s), exam_m_s.max()])
-        apart = 0.25 * (k - len(groups) // 2) if x else 0.0
-        points.append(
-            Series(label, np.full(2, x + apart), ends, f"series{k % COLOURS}", "marked", width=4.0)
-        )
-    text = "scatter between shifts, 2 sd: assumed"
-    rule = Rule(200.0 * study.study.truck.cone_shift[0], text, "faint")
-    title = "Worst of the impulses; strategies: median truck and worst truck"
-    return replace(panel, title=title, series=[*panel.series, *points], rules=[*panel.rules, rule])
+        apart = 0.4 * (k - len(groups) // 2) if x else 0.0
+        role, dashed = f"series{k % COLOURS}", k >= COLOURS
+        points.append(Series(label, np.full(2, x + apart), ends, role, "marked", dashed, 4.0))
+    assumed = 200.0 * study.study.truck.cone_shift[0]
+    notes = [Note(assumed, 0.08, "scatter between shifts, 2 sd: assumed", "faint", "left")]
+    rules = [Rule(assumed, "", "faint")]
+    for rule in panel.rules:
+        is_bound = rule.style == "dashed"
+        rules.append(replace(rule, text="", role="ink") if is_bound else rule)
+        if is_bound:  # where no strategy is
+            notes.append(Note(12.0, rule.at, rule.text, up=3.0))
+    return replace(
+        panel,
+        title=f"Hardest of {len(EXAM_N_S)} impulses: median and worst truck",
+        series=[*(replace(each, role="ink") for each in panel.series), *points],
+        rules=rules,
+        notes=notes,
+    )
 
 
 def blocks(values: Floats) -> tuple[Floats, list[Floats]]:
