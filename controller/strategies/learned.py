@@ -75,8 +75,8 @@ OFF_M = 0.0008
 16 K, five times the scatter of a thermometer."""
 LONGEST_S = 1e9
 DOUBTED, SURPRISED = 1.2, 1.9
-"""Mean square of the latest errors, by what was expected of them: from the first on a programme needs a
-report of the share that is spent, from the second on every push is plain. In 22 healthy trucks it is 0.75
+"""Mean square of the latest errors, by what was expected of them: from the first on only the reports
+of this shift count for a programme, from the second on every push is plain. In 22 healthy trucks it is 0.75
 in the mean; the first makes 3 % of their programmes plain, the second 3 of 1,920 shifts in 8 others."""
 
 
@@ -297,13 +297,14 @@ class Learned(IntoGear):
         surprise = self.correction.surprise
         if surprise > SURPRISED or delay_s > SLOWEST_S:
             return ()
-        if surprise > DOUBTED and self._found is None:
-            return ()
         if expected.context.share < LIGHT_SHARE and not self._is_weighed:
             return ()
-        if expected.variance <= strong:
+        variance = expected.variance
+        if surprise > DOUBTED:
+            variance = LONGEST_S if self._found is None else max(self._found[1], variance)
+        if variance <= strong:
             return self._strong
-        return self._careful if expected.variance <= careful else ()
+        return self._careful if variance <= careful else ()
 
     def _note(self, progress: Progress, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""
