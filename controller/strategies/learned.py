@@ -75,8 +75,8 @@ OFF_M = 0.0008
 16 K, five times the scatter of a thermometer."""
 LONGEST_S = 1e9
 DOUBTED, SURPRISED = 1.2, 1.9
-"""Mean square of the latest errors, by what was expected of them: from the first on only the reports
-of this shift count for a programme, from the second on every push is plain. In 22 healthy trucks it is 0.75
+"""Mean square of the latest errors, by what was expected of them: from the first on a programme
+needs reports of this shift that alone tell the release well enough, from the second on every push is plain. In 22 healthy trucks it is 0.75
 in the mean, and 4.6 % of their programmes would begin above the first; 3 of 1,920 shifts in 8 others were
 above the second."""
 
@@ -292,7 +292,8 @@ class Learned(IntoGear):
     def _strengths(self, expected: Expected) -> tuple[int, ...]:
         """Return which programmes are safe by what is known of the release and the meshing force.
 
-        The softer ones first; another may still begin when it is too late for them.
+        The softer ones first; another may still begin when it is too late for them. While the latest errors
+        are doubtful, the reports of this shift alone have to tell the release that well.
         """
         delay_s, (careful, strong) = expected.offset.delay_s, expected.limits
         surprise = self.correction.surprise

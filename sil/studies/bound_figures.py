@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sil.report.figure import MS, Figure, Floats, Panel, Rule, Series, Span, Stack
+from sil.report.figure import MS, Figure, Floats, Note, Panel, Rule, Series, Span, Stack
 from sil.studies.bound_search import HALVINGS
 from sil.studies.figures import title_of
 from sil.studies.policies import NOT_ARRIVED, THESIS_DELAYS_S
@@ -103,20 +103,22 @@ def known_panel(columns: Mapping[str, Floats]) -> Panel:
     for each in np.unique(known):
         rows = np.flatnonzero(known == each)
         bound_m_s[rows] = envelope(delay_s[rows], bound_m_s[rows])
-    lines, rules = [], levels(columns, 0)
+    lines, rules, notes = [], levels(columns, 0), []
+    middle = 50.0 * known[known < 1.0].max(initial=0.0)
     for k, delay in enumerate(np.unique(delay_s)[::-1]):
         rows = np.flatnonzero((delay_s == delay) & (known < 1.0))
         rows = rows[np.argsort(known[rows])]
         name = "release known" + (f" {MS * delay:.0f} ms late" if delay > 0.0 else "")
         name += f" {-MS * delay:.0f} ms ahead" if delay < 0.0 else ""
-        role = f"series{(0, 4, 6, 1)[k % 4]}"
+        role = ("ink", "series4", "series6", "series1")[k % 4]
         x, y = 100.0 * known[rows], bound_m_s[rows]
         lines.append(Series(f"bound: {name}", x, y, role, "marked", width=2.2))
-        rules += [
-            Rule(each, "nothing known" if k == 0 else "", role, "y", "dashed")
-            for each in bound_m_s[(delay_s == delay) & (known == 1.0)]
-        ]
-    return Panel("Worst impact", "m/s", lines, rules=rules, limits=(0.0, 1.5), height=400)
+        for each in bound_m_s[(delay_s == delay) & (known == 1.0)]:
+            rules.append(Rule(each, "", role, "y", "dashed"))
+            notes += [Note(middle, each, "nothing known", role, up=3.0)] if k == 0 else []
+    return Panel(
+        "Worst impact", "m/s", lines, rules=rules, notes=notes, limits=(0.0, 1.5), height=400
+    )
 
 
 def _convergence(study: LoadedStudy, table: Table) -> Figure:

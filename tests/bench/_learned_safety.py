@@ -26,9 +26,9 @@ from controller.strategies.into_gear import PUSH
 from controller.strategies.learned import Learned
 from sil.studies.fleet import OWN, Drawn, FleetTable, Truck
 from sil.studies.kinds.learned import (
+    DID_NOT_ARRIVE,
     HARDER_M_S,
     LONGER_S,
-    NOT_ARRIVED,
     Outcome,
     nominal,
     run_shifts,
@@ -114,7 +114,7 @@ def broken(found: Outcome, open_loop: Outcome, impact_m_s: float) -> str:
     """
     harder_m_s, longer_s = found.impact_m_s - impact_m_s, found.time_s - open_loop.time_s
     if found.lost and not open_loop.lost:
-        return found.lost if found.lost == NOT_ARRIVED else UNCONFIRMED
+        return found.lost if found.lost == DID_NOT_ARRIVE else UNCONFIRMED
     if harder_m_s > HARDER_M_S:
         return f"{harder_m_s:.3f} m/s harder"
     return f"{1e3 * longer_s:.0f} ms longer" if not found.lost and longer_s > LONGER_S else ""

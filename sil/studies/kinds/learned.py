@@ -59,7 +59,7 @@ TABLES_OPEN_S, TABLES_MESH_N = 0.0083, 1300.0
 HARDER_M_S = 0.05
 LONGER_S = 0.03
 """Limits against the open loop in the same shift."""
-NOT_ARRIVED = "did not arrive"
+DID_NOT_ARRIVE = "did not arrive"
 RELEARNING = 10
 """Shifts over which an impact is averaged to say that it is as before the exchange."""
 RELEARNED = 1.1
@@ -105,7 +105,7 @@ def run_shifts(
         shift = run.shifts[-1]
         lost = "" if shift.confirmed_s is not None else "was not confirmed"
         if shift.shift_time_s is None:
-            lost = NOT_ARRIVED
+            lost = DID_NOT_ARRIVE
         yield Outcome(
             shift.impact_worst_m_s or 0.0,
             sum(impact.energy_j for impact in shift.impacts),
@@ -366,19 +366,13 @@ def _possible(study: LoadedStudy, table: Table) -> Panel:
         role, dashed = f"series{k % COLOURS}", k >= COLOURS
         points.append(Series(label, np.full(2, x + apart), ends, role, "marked", dashed, 4.0))
     assumed = 200.0 * study.study.truck.cone_shift[0]
-    notes = [Note(assumed, 0.08, "scatter between shifts, 2 sd: assumed", "faint", "left")]
-    rules = [Rule(assumed, "", "faint")]
-    for rule in panel.rules:
-        is_bound = rule.style == "dashed"
-        rules.append(replace(rule, text="", role="ink") if is_bound else rule)
-        if is_bound:  # where no strategy is
-            notes.append(Note(12.0, rule.at, rule.text, up=3.0))
+    note = Note(assumed, 0.08, "scatter between shifts, 2 sd: assumed", "faint", "left")
     return replace(
         panel,
         title=f"Hardest of {len(EXAM_N_S)} impulses: median and worst truck",
-        series=[*(replace(each, role="ink") for each in panel.series), *points],
-        rules=rules,
-        notes=notes,
+        series=[*panel.series, *points],
+        rules=[*panel.rules, Rule(assumed, "", "faint")],
+        notes=[*panel.notes, note],
     )
 
 

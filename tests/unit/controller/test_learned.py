@@ -413,6 +413,17 @@ def test_with_doubtful_errors_a_programme_needs_a_report_of_its_own_shift(
         assert plain(push(strategy, impulse_n_s)) != acts
 
 
+@pytest.mark.parametrize(("surprise", "acts"), [(1.0, True), (1.21, False)])
+def test_with_doubtful_errors_reports_of_unknown_age_are_not_enough(
+    surprise: float, acts: bool
+) -> None:
+    strategy = practised()
+    strategy.correction.values[29] = 0.01**2
+    strategy.correction.surprise = surprise
+    assert plain(push(strategy, 200.0)) != acts
+    assert strategy._found is not None
+
+
 def test_a_push_that_ends_before_the_release_teaches_nothing() -> None:
     strategy = practised()
     push(strategy, 140.0, until_ms=120)

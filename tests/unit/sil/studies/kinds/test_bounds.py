@@ -274,3 +274,4 @@ def test_bounds_over_the_share_are_drawn_with_what_earlier_information_reaches()
     assert late.y.tolist() == [0.4, 0.8]
     assert early.y.tolist() == [0.4, 0.7]
     assert [rule.at for rule in panel.rules] == [1.37, 0.6, 1.1, 0.9]
+    assert [(note.text, note.y) for note in panel.notes] == [("nothing known", 1.1)]
