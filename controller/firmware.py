@@ -283,6 +283,7 @@ class Firmware:
                 apart_ns=self._speeds_ns,
                 coil_k=self._coil_k,
                 steady=self._watch.steady,
+                agreed=self._watch.agreed,
             )
             duties = self._strategy.command(now_ns, estimate, shift)
             if not self._allowed(now_ns, duties):

@@ -22,13 +22,15 @@ class SpeedsWatch:
 
     steady: whether they are beyond doubt, which they are at power-on. A sensor that has jumped stays
     wrong, and its speeds look steady again; that they are right shows only where the shafts are
-    known to turn alike. On the way between gears nothing is judged: the difference jumps there as
-    it is referred to another ratio.
+    known to turn alike. agreed: whether they did in the last gear since power-on; False before it. On
+    the way between gears nothing is judged: the difference jumps there as it is referred to another
+    ratio.
     """
 
     def __init__(self, tolerance_rad_s: float) -> None:
         """tolerance_rad_s: difference up to which the speeds agree."""
         self.steady = True
+        self.agreed = False
         self._tolerance_rad_s = tolerance_rad_s
         self._last: tuple[int, float, Gear] | None = None
 
@@ -40,7 +42,7 @@ class SpeedsWatch:
         apart_rad_s = speeds.input_rad_s - speeds.output_rad_s
         self._last = (now_ns, apart_rad_s, speeds.referred) if gear is Gear.NEUTRAL else None
         if gear in (Gear.BACKWARD, Gear.FORWARD):
-            self.steady = abs(apart_rad_s) <= self._tolerance_rad_s
+            self.steady = self.agreed = abs(apart_rad_s) <= self._tolerance_rad_s
         elif self._last and before and before[2] is speeds.referred:
             most_rad_s = 1e-9 * FASTEST_RAD_S2 * (now_ns - before[0]) + SCATTER_RAD_S
             self.steady &= abs(apart_rad_s - before[1]) <= most_rad_s

@@ -50,7 +50,8 @@ class ShiftContext(NamedTuple):
     the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
     is input minus output speed as last reported, None without a valid report, and `apart_ns` the
     step that received it first, or should have (`ReportTimes`). `coil_k` is the temperature of the
-    sensor's coil as last reported. `steady`: the speeds have not jumped (`SpeedsWatch`).
+    sensor's coil as last reported. `steady`: the speeds have not jumped,
+    `agreed`: they agreed in the last gear since power-on (`SpeedsWatch`).
     """
 
     leg: Gear
@@ -64,6 +65,7 @@ class ShiftContext(NamedTuple):
     apart_ns: int = 0
     coil_k: float | None = None
     steady: bool = True
+    agreed: bool = False
 
 
 def one_chamber(chamber: Chamber, duty: float) -> Duties:

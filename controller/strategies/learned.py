@@ -115,6 +115,9 @@ class Learned(IntoGear):
         closing_follows_current: bool = False
         """Whether the valves close sooner the less current is in their coils. Without, a filling cannot be
         short enough, and every push is plain."""
+        speeds_agreed: bool = False
+        """Whether the reported speeds agreed in the last gear before power-on. If not, every push is plain
+        until they have: an input speed that is wrong by a constant looks right in neutral."""
         supply_pa: Annotated[float, bounded(1e5, 2e6, "Pa")] = 9e5
         """Supply pressure as reported (AIR1) before the shift."""
         rest_s: Annotated[float, bounded(0.0, 1e6, "s")] = 60.0
@@ -212,6 +215,7 @@ class Learned(IntoGear):
         self._waits = self.correction.plain > 0
         if self._waits and not self._plain:
             self.correction.plain -= 1
+        self._waits |= not (shift.agreed or own.speeds_agreed)
         heavier, variance = self.correction.heavier(self._direction)
         self._is_weighed = variance <= WEIGHED_WELL * WEIGHED_WELL
         sd = sqrt(variance + MESH_VARIANCE)

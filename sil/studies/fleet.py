@@ -171,7 +171,7 @@ class Drawn:
     """One shift as drawn: settings of the scenario, and the impulses in N s.
 
     known: settings by which a strategy that learns is given what the truck knows besides the frames:
-    its supply, its gear pairs, and how long ago the neutral chamber was filled. expected_n_s: follows from the
+    its supply, its gear pairs, that its speeds agreed in the last gear, and how long ago the neutral chamber was filled. expected_n_s: follows from the
     speeds with the nominal friction; impulse_n_s is what it takes.
     """
 
@@ -346,6 +346,7 @@ class Truck:
             f"{OWN}.supply_pa": supply_pa,
             f"{OWN}.impulse_per_rad_s": per_rad_s,
             f"{OWN}.closing_follows_current": bool(of["closing_follows_current"]),
+            f"{OWN}.speeds_agreed": True,
         }
         if blow_s is not None:
             known[f"{OWN}.rest_s"] = blow_s

@@ -41,10 +41,15 @@ HIT = 0.3
 UNCONFIRMED = "not confirmed: the sensor failed before"
 """A gear that is engaged, but the position's reports fail within the shift: counted separately."""
 OF_POSITION = "position", "frames lost"
-SHORT_S = 0.45
+SHORT_S = 0.32
+"""Simulated time of a shift from its request on, if the gear is confirmed in it."""
+NOTICED_S = 0.02
+"""Speeds that fail before this were wrong in the last gear, too: a run begins in neutral, with the first
+reports, but the truck and its unit were on before it."""
 KINDS = ("none", "update missed", "memory damaged", "thermometer", "speeds", "position", "valve",
-         "frames lost", "supply late")  # fmt: skip
+         "frames lost", "supply late", "exchanged valve")  # fmt: skip
 LOOSE = "loose contact"
+EXCHANGED = {"kind": "delayed", "delay_s": 0.003}
 THERMOMETER = (
     {"kind": "stuck", "value_k": 253.15},
     {"kind": "stuck", "value_k": 293.15},
@@ -78,7 +83,10 @@ def faulty(kind: str, drawn: list[Drawn], rng: np.random.Generator) -> Iterator[
             added["valve_fault"] = [{"kind": "intermittent", "valve": "BF"[begin % 2]}]
         elif kind == "supply late":
             known = known | {f"{OWN}.supply_pa": drawn[max(0, k - 5)].known[f"{OWN}.supply_pa"]}
+        elif kind == "exchanged valve" and k >= begin:
+            added["valve_fault"] = [EXCHANGED | {"valve": valve["valve"]}]
         elif kind == "speeds" and hit:
+            known = known | {f"{OWN}.speeds_agreed": start_s >= NOTICED_S}
             added["speed_fault"] = [{"kind": str(rng.choice(SPEEDS)), "start_s": start_s}]
         elif kind == "position" and hit:
             added["sensor_fault"] = [{"kind": str(rng.choice(POSITION)), "start_s": start_s}]

@@ -108,5 +108,5 @@ def test_commands_and_defaults_of_a_push() -> None:
     nobody = ShiftContext(
         Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None)
     )
-    assert nobody[-4:] == (None, 0, None, True)
+    assert nobody[-5:] == (None, 0, None, True, False)
     assert OFF == (0.0, 0.0, 0.0)

@@ -22,7 +22,7 @@ PUSHES = one_chamber(Chamber.B, 0.98)
 
 
 def learned(**parameters: Any) -> Learned:
-    parameters = {"closing_follows_current": True} | parameters
+    parameters = {"closing_follows_current": True, "speeds_agreed": True} | parameters
     made = create_strategy(FirmwareConfig(strategy="learned", strategy_parameters=parameters))
     assert isinstance(made, Learned)
     return made
