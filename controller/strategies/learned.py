@@ -37,6 +37,10 @@ from controller.strategies.release import REPORT_RAD_S, Release
 COLDEST_K, REFERENCE_K, WARMEST_K = 253.15, 293.15, 343.15
 SLOWEST_S = 0.0045
 """Valves that open later by more than this have no programme."""
+NEUTRAL_LATE_S = 0.0006
+"""So much later than the tables' at most, two standard deviations between units, the neutral valve is taken
+to open when the driving ones are late: one of these may have been exchanged alone. A neutral valve that is
+as late as they are fills less than it should, which brakes less and stops no stay at the teeth."""
 SUPPLY_PA = 0.2e5
 """Nor has a supply that is further than this from the nearest table."""
 WARM_K, DRAG_FOLD_K = 328.15, 26.0
@@ -286,7 +290,7 @@ class Learned(IntoGear):
         if not strengths:
             return
         table = self._tables.nearest
-        delay_s = expected.offset.delay_s
+        delay_s = min(expected.offset.delay_s, NEUTRAL_LATE_S)
         target_s = expected.used_s - delay_s - self.parameters.late_s
         programme = table.row(target_s, step, strengths)
         if programme is None or step + 1 < programme.begin:

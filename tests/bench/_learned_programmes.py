@@ -139,6 +139,8 @@ class Pushes(FamilyModel):
 
     lanes = True
     tolerance = 1e-4
+    spacing_s = STEP_S
+    """From one row to the next: a release is expected up to half of it from the row that is taken."""
 
     def __init__(self, bar: float, drawn: Floats = DRAWN, weight: Floats = WEIGHT) -> None:
         self.drawn, self.weight = drawn, weight
@@ -185,7 +187,9 @@ class Pushes(FamilyModel):
         self._twice = strength.twice
         logs = np.log(IMPULSES_N_S)
         slope_s = float(np.interp(release_s, self.nominal_s, np.gradient(self.nominal_s, logs)))
-        sd_s = np.hypot(min(strength.release_s, strength.impulse * slope_s), STEP_S / 12.0**0.5)
+        sd_s = np.hypot(
+            min(strength.release_s, strength.impulse * slope_s), self.spacing_s / 12.0**0.5
+        )
         self._give(
             self._impulse_n_s(release_s + sd_s * self.drawn[:, 0]),
             strength.heavier + strength.mesh * self.drawn[:, 1],

@@ -103,6 +103,18 @@ class TestStrategies:
         rig.run(200)
         assert {c.steady for _, _, c in strategy.seen} == {steady}
 
+    @pytest.mark.parametrize(
+        ("start", "apart_rad_s", "agreed"), [(N, 0.1, False), (F, 0.1, True), (F, 20.0, False)]
+    )
+    def test_it_sees_whether_speeds_agreed_in_a_gear_since_power_on(
+        self, meddled: Any, start: Gear, apart_rad_s: float, agreed: bool
+    ) -> None:
+        rig, strategy = meddled(
+            start, (100, B), speeds=lambda _: DrivelineSpeeds(80.0 + apart_rad_s, 80.0)
+        )
+        rig.run(200)
+        assert {c.agreed for _, _, c in strategy.seen} == {agreed}
+
     @pytest.mark.parametrize(("start", "passive"), [(B, Chamber.B), (F, Chamber.F)])
     def test_the_passive_chamber_on_the_way_to_neutral(
         self, meddled: Any, start: Gear, passive: Chamber

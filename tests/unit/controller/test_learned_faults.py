@@ -26,6 +26,20 @@ def test_a_position_before_the_push_that_is_not_neutral_makes_it_plain(
     assert plain(push(strategy, 60.0, rest_m=rest_m)) != acts
 
 
+@pytest.mark.parametrize(
+    ("before", "since", "acts"), [(True, False, True), (False, True, True), (False, False, False)]
+)
+def test_pushes_are_plain_until_the_speeds_have_agreed_in_a_gear_and_teach_if_they_then_do(
+    before: bool, since: bool, acts: bool
+) -> None:
+    """An input speed that is wrong by a constant from power-on shows only in a gear."""
+    strategy = practised(speeds_agreed=before)
+    values = list(strategy.correction.values)
+    assert plain(push(strategy, 60.0, friction=1.05, agreed=since)) != acts
+    assert strategy.correction.values != values
+    assert strategy.correction.plain == 0
+
+
 @pytest.mark.parametrize("begun", [True, False])
 def test_a_programme_that_has_begun_is_carried_out_without_speeds_and_teaches_nothing(
     begun: bool,

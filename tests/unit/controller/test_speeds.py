@@ -55,6 +55,13 @@ def test_speeds_that_agree_in_a_gear_are_believed_again() -> None:
     assert not watched((0.5, B), (20.0, B), (35.0, U), (35.0, N)).steady, "wrong in a gear"
 
 
+def test_they_have_agreed_once_they_did_so_in_a_gear_and_until_they_do_not_in_the_next() -> None:
+    assert not watched((0.1, N), (0.1, N)).agreed, "in neutral any difference is possible"
+    assert watched((0.1, N), (0.1, B)).agreed
+    assert watched((0.1, B), (0.0, U), (30.0, N), (90.0, N)).agreed
+    assert not watched((0.1, B), (0.0, U), (20.0, N), (20.0, B)).agreed
+
+
 class TestReportTimes:
     def times_ms(self, *reports: tuple[int, int | None]) -> list[float]:
         """Return the times of reports, each a step in ms and a number."""
