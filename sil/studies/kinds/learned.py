@@ -20,7 +20,7 @@ from can_dbc import typed_toml
 from controller.learning import Sensitivities
 from sil.files.quantity import counted
 from sil.report.figure import MS, Figure, Note, Panel, Rule, Series, Stack
-from sil.simulation.in_memory import run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.bound_figures import KNOWN, SHIPPED, known_panel
 from sil.studies.figures import title_of
@@ -102,17 +102,22 @@ def run_shifts(
             known, memory = truth(each)
         run = run_in_memory(make(texts_of({**each.settings, **known, **settings})), memory)
         memory = b"" if forgets else run.memory
-        shift = run.shifts[-1]
-        lost = "" if shift.confirmed_s is not None else "was not confirmed"
-        if shift.shift_time_s is None:
-            lost = DID_NOT_ARRIVE
-        yield Outcome(
-            shift.impact_worst_m_s or 0.0,
-            sum(impact.energy_j for impact in shift.impacts),
-            math.inf if lost else shift.shift_time_s or 0.0,
-            lost,
-            memory,
-        )
+        yield replace(outcome(run), memory=memory)
+
+
+def outcome(run: Run) -> Outcome:
+    """Return what the last shift of a run did."""
+    shift = run.shifts[-1]
+    lost = "" if shift.confirmed_s is not None else "was not confirmed"
+    if shift.shift_time_s is None:
+        lost = DID_NOT_ARRIVE
+    return Outcome(
+        shift.impact_worst_m_s or 0.0,
+        sum(impact.energy_j for impact in shift.impacts),
+        math.inf if lost else shift.shift_time_s or 0.0,
+        lost,
+        run.memory,
+    )
 
 
 def truth(drawn: Drawn) -> tuple[dict[str, Any], bytes]:
