@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.optimize import brentq
 
 from plant.kernel.layout import LENGTH, LengthState, Parameters
 from plant.parts.loads import barrier
@@ -72,6 +73,35 @@ def test_a_barrier_too_high_holds_the_stay() -> None:
     assert rig.names() == ["turn"]
     assert X_MESH - W_MESH < rig.position_m < X_MESH
     assert rig.velocity_m_s == 0.0
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("share", "passes"), [(0.999, False), (1.001, True)])
+def test_the_least_constant_force_that_passes_the_teeth_from_the_block(
+    side: float, share: float, passes: bool
+) -> None:
+    """Where the barrier falls to the force again, u = (x - x_mesh)/w_mesh, its work is spent:
+    tan(pi u) = pi (1 + u), so F = F_mesh (1 + cos(pi u))/2 = 0.609 F_mesh.
+
+    For 10.1 kg and 1300 N it still leaves 0.75 m/s at the stop.
+    """
+    u = brentq(
+        lambda u: math.sin(math.pi * u) - math.pi * (1.0 + u) * math.cos(math.pi * u), 0.1, 0.5
+    )
+    least = 0.5 * (1.0 + math.cos(math.pi * u))
+    assert least == pytest.approx(0.6086, abs=1e-4)
+    changes = {Parameters.mesh_force: 200.0, Parameters.f_external: side * share * least * 200.0}
+    start = {**walked(side), LengthState.x_s: side * X_BLOCK, LengthState.v_s: side * 1e-4}
+    rig = Bare(LENGTH, {**FREE, **changes}, start)
+    rig.advance(400 * MS)
+    names = rig.names()
+    assert ("stop" in names) == passes
+    if passes:
+        energy_j = share * least * 200.0 * (STROKE - X_BLOCK) - 200.0 * W_MESH
+        stop = next(event for event in rig.events if event.name == "stop")
+        assert 0.5 * 0.9 * stop.speed_m_s**2 == pytest.approx(energy_j, rel=1e-4)
+    full_j = least * 1300.0 * (STROKE - X_BLOCK) - 1300.0 * W_MESH
+    assert math.sqrt(2.0 * full_j / 10.1) == pytest.approx(0.75, abs=0.005)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
