@@ -1,12 +1,12 @@
 """Which of the things that a unit does not know keeps its programmes from being softer.
 
-python -m tests.bench._learned_limits [IMPULSE_N_S...]
+python -m tests.bench._learned_limits [lasting] [IMPULSE_N_S...]
 
 At 9 bar, for the release of the plain push with each impulse: the programme that `_learned_programmes`
 would take (`STRONG`) if some of what it has to bear were known to the last digit (`EXACT`). The draws
 then deviate by the other numbers alone; a valve that is suddenly slow stays among them. Two cases are of a unit
 that knows all that lasts in its truck exactly, so that only the scatter between two shifts is left
-(`LASTING`). One case has valves whose
+(`LASTING`; with `lasting` these alone). One case has valves whose
 closing delay is constant, so that a filling ends 35 ms after a step, 45 ms after it begins at least. Every case
 gets the programmes that were found for the others as well, so that more knowledge is not made worse
 by the search. Printed: mean impact of the near draws, and the hardest.
@@ -69,8 +69,8 @@ PROGRAMMES = Path(__file__).parents[2] / "controller" / "programmes.csv"
 def deviations(scale: Mapping[str, float]) -> tuple[Floats, Floats]:
     """Return the draws of the tables with numbers that deviate by their scale, and the far ones' weights.
 
-    scale: of some numbers, 1 for the others; 0: it does not deviate. The distance of a draw from what is expected has the density chi, with as many degrees of freedom as
-    numbers are left. Key draws stay as far away; far ones begin where it is as unlikely as in the
+    scale: of some numbers, 1 for the others; 0: it does not deviate. The distance of a draw from what is
+    expected has the density chi, with as many degrees of freedom as numbers are left. Key draws stay as far away; far ones begin where it is as unlikely as in the
     tables to be further, and end where theirs do.
     """
     by = np.array([scale.get(name, 1.0) for name in NUMBERS])
@@ -149,17 +149,15 @@ def table(cases: list[Case], impulse_n_s: float) -> list[tuple[float, float]]:
     return [(float(each.mean()), float(each.max())) for each in impacts_m_s]
 
 
-def main(impulses: list[float]) -> None:
-    """Print a column for each impulse."""
-    names = ["plain push", CONSTANT, *EXACT, *LASTING]
-    cases = [
-        Case({}, constant=True),
-        *(Case(dict.fromkeys(exact, 0.0)) for exact in EXACT.values()),
-        *(Case(SCATTER, strength=each, spacing_s=0.0) for each in LASTING.values()),
-    ]
-    columns = []
+def main(impulses: list[float], lasting: bool) -> None:
+    """Print a column for each impulse. lasting: only the cases of a unit that knows its truck."""
+    by_name = {name: Case(SCATTER, strength=each, spacing_s=0.0) for name, each in LASTING.items()}
+    if not lasting:
+        exact = {name: Case(dict.fromkeys(each, 0.0)) for name, each in EXACT.items()}
+        by_name = {CONSTANT: Case({}, constant=True)} | exact | by_name
+    names, columns = ["plain push", *by_name], []
     for impulse_n_s in impulses:
-        columns.append(table(cases, impulse_n_s))
+        columns.append(table(list(by_name.values()), impulse_n_s))
         for name, (mean_m_s, hardest_m_s) in zip(names, columns[-1], strict=True):
             print(f"{impulse_n_s:.0f} N s  {name}: {mean_m_s:.2f}, {hardest_m_s:.2f}", flush=True)
     print("| known | " + " | ".join(f"{each:.0f} N s" for each in impulses) + " |")
@@ -170,4 +168,5 @@ def main(impulses: list[float]) -> None:
 
 
 if __name__ == "__main__":
-    main([float(each) for each in sys.argv[1:]] or list(IMPULSES))
+    given = sys.argv[1:]
+    main([float(each) for each in given if each != "lasting"] or list(IMPULSES), "lasting" in given)
