@@ -451,14 +451,16 @@ def test_late_valves_take_a_later_programme_as_if_neutral_were_less_late_slower_
     delay_s: float,
 ) -> None:
     """The driving valve may have been exchanged alone, or all three."""
-    usual, strategy = practised(), practised()
-    push(usual, 60.0)
-    assert usual._programme is not None
+    strategy = practised()
     strategy.correction.values[3] = delay_s
     assert plain(push(strategy, 60.0)) == (delay_s > 0.0045)
     if delay_s < 0.0045:
         assert strategy._programme is not None
+        assert strategy._expected is not None
         neutral_s = 0.00201 if delay_s == 0.003 else delay_s
         assert strategy._delay_s == pytest.approx(neutral_s)
-        later_s = strategy._programme.plain_s - usual._programme.plain_s
-        assert later_s == pytest.approx(delay_s - neutral_s, abs=0.7 * TABLE.step_s)
+        later_s = strategy._expected.used_s - strategy._target_s - strategy._late_s
+        assert later_s == pytest.approx(neutral_s, abs=1e-5)
+        assert strategy._programme.plain_s == pytest.approx(
+            strategy._target_s, abs=1.01 * TABLE.step_s
+        )
