@@ -60,8 +60,8 @@ ARRIVED_M = 0.012
 """A stop of the stay that is further from neutral is in a gear."""
 CERTAIN = 1e-5
 """By so many m/s and s a shift is within the limits against the plant alone to be so without doubt."""
-SHORT_S = 0.32
-"""Simulated time of a shift from its request on, if the gear is confirmed in it."""
+SHORT_S = 0.24, 0.32
+"""Simulated times of a shift from its request on: the first one in which the gear is confirmed is enough."""
 NOTICED_S = 0.02
 """Speeds that fail before this were wrong in the last gear, too: a run begins in neutral, with the first
 reports, but the truck and its unit were on before it."""
@@ -126,12 +126,12 @@ def recalled(kind: str, before: bytes, after: bytes, rng: np.random.Generator) -
     return after
 
 
-def shortened(drawn: Drawn) -> Drawn:
-    """Return a shift that is simulated until an ordinary one is confirmed, not its safety blow."""
-    return replace(
-        drawn,
-        settings=drawn.settings | {"duration_s": drawn.settings["request"][0]["at_s"] + SHORT_S},
-    )
+def lengths(drawn: Drawn) -> Iterator[Drawn]:
+    """Yield a shift that is simulated until most, then all ordinary ones are confirmed, then the whole one."""
+    begin_s = drawn.settings["request"][0]["at_s"]
+    for short_s in SHORT_S:
+        yield replace(drawn, settings=drawn.settings | {"duration_s": begin_s + short_s})
+    yield drawn
 
 
 def plain_push(run: Run, parameters: ParameterSet, impulse_n_s: float) -> tuple[float, float]:
@@ -199,7 +199,7 @@ def beyond(number: int, shifts: int, kind: str) -> Iterator[tuple[int, bool, str
         drawn = truck.shifts()[0]
         for k, (healthy, each) in enumerate(zip(drawn, faulty(kind, drawn, rng), strict=True), 1):
             acted.clear()
-            for shift in (shortened(each), each):
+            for shift in lengths(each):
                 what = ""
                 loaded = study.loaded(texts_of({**shift.settings, **shift.known, **own}))
                 run = run_in_memory(loaded, memory)
