@@ -356,6 +356,9 @@ def test_a_light_push_weighs_the_teeth(travel_s: float, sign: int) -> None:
     assert (variance < 0.9 * before) == bool(sign)
     strategy._weigh(expected, TABLE.release(log(60.0))[0], travel_s)
     assert strategy.correction.heavier(0) == (heavier, variance), "not a light one"
+    late = expected._replace(offset=expected.offset._replace(delay_s=0.001))
+    strategy._weigh(late, TABLE.release(log(16.0))[0], travel_s)
+    assert strategy.correction.heavier(0) == (heavier, variance), "a valve alone may be late"
 
 
 def test_an_outlier_teaches_nothing_and_three_do() -> None:
