@@ -57,7 +57,7 @@ LASTING: dict[str, tables.Strength] = {
     "and the release known to 0.5 ms": replace(STRONG, impulse=0.021, release_s=0.0005),
 }
 """Between two shifts the impulse scatters by 2 %, and its slow variation goes on by 0.4 %; of a larger
-one the reports tell the release to some 1.2 ms before a programme has to begin, to less while it goes on."""
+one the reports show the release to some 1.2 ms before a programme has to begin, to less while it goes on."""
 CONSTANT, CLOSE_MS = "as the strong programmes, closing always after 35 ms", 35.0
 IMPULSES = (24.0, 40.0, 60.0, 83.0, 140.0, 230.0)
 BAR = 9.0
@@ -70,8 +70,8 @@ def deviations(scale: Mapping[str, float]) -> tuple[Floats, Floats]:
     """Return the draws of the tables with numbers that deviate by their scale, and the far ones' weights.
 
     scale: of some numbers, 1 for the others; 0: it does not deviate. The distance of a draw from what is
-    expected has the density chi, with as many degrees of freedom as numbers are left. Key draws stay as far away; far ones begin where it is as unlikely as in the
-    tables to be further, and end where theirs do.
+    expected has the density chi, with as many degrees of freedom as numbers are left. Key draws stay as
+    far away; far ones begin where it is as unlikely as in the tables to be further, and end where theirs do.
     """
     by = np.array([scale.get(name, 1.0) for name in NUMBERS])
     left = by > 0.0
