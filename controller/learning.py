@@ -16,51 +16,45 @@ from collections.abc import Callable, Mapping
 from math import isfinite, sqrt
 from typing import ClassVar, NamedTuple
 
+from controller.clocks import Clocks
+
 MAGIC = b"OPC4"
-VERSION = 4
+VERSION = 5
 UNKNOWN_MESH = 0.054
 """Scatter of the meshing force between gears, relative."""
 HEADER = struct.Struct("<4sBBIBbbf")
 CHECKSUM = struct.Struct("<I")
-RELEASE_S = 0.0012
+RELEASE_S = 0.0005
 """Scatter of a release that was measured under a plain push."""
 SURPRISING, OUTLYING, RECENT = 6.0, 20.0, 16.0
 """The square of an error, by its variance, counts up to the first, that of an outlier up to the second;
 the mean is over so many shifts."""
 
-STOPS, LIGHT, LIGHT_PER_PA = 0.33, 2.72, 2.6e-6
-PASSES_S, STOPPED_S, STOPPED_AT_S, STOPPED_PER_S = 0.0215, 0.04, 0.045, 2.2
-NEAR_S, FREE_S, WEIGHED = 0.00012, 0.0195, 0.026
-"""Fitted to plain pushes of 14 to 28 N s, 8 to 9 bar, from -11 to 11 % of meshing force: by how much
-more force than that of the tables a push stops at the teeth, over the logarithm of its impulse; by how
-much more or less it was, over the time from release to arrival; and how well that is known."""
-HEAVIEST_TESTED = 0.1225
-"""Meshing force, as above, up to which the time to pass the teeth was fitted."""
+STOPS, LIGHT, LIGHT_PER_PA = 0.28, 1.943, 3.316e-6
+PASSES_S, NEAR_S, FREE_S, PASSED = 0.0140, 0.00503, 0.0028, 0.042
+STOPPED_S, STOPPED_AT_S, STOPPED_PER_S, STOPPED = 0.034, 0.1211, 2.745, 0.024
+HEAVIEST = 3.4
+"""By which share the teeth resist a plain push: over the logarithm of its impulse in N s and the pressure,
+and over the time from the release to the arrival, of one that passed the teeth and of one that stopped at them;
+the scatter of both; and the logarithm up to which they are fitted (512 pushes of 14 to 28 N s in 16 trucks)."""
 ALIKE = 0.015
 """What all measurements of the meshing force in a unit have in common, by friction and flows of its
 actuator: scatter in 20 trucks with known forces."""
-UNDERSTATED_FROM, UNDERSTATED = 0.1, 0.6
-"""Beyond the first the fit understates a heavier one by this share of the excess (20 trucks)."""
 
 
-def heavier_by(spent: float, travel_s: float, supply_pa: float) -> float | None:
-    """Return by which share the teeth resisted a plain push more than those of the tables.
+def heavier_by(spent: float, travel_s: float, supply_pa: float) -> tuple[float, float] | None:
+    """Return by which share the teeth resisted a plain push more than those of the tables, and its variance.
 
     spent: logarithm of its impulse in N s. travel_s: from its release to its arrival. A push of a
-    light shift hardly passes the teeth, or stops at them until the chamber is full: by how much more
-    force it would stop is nearly linear in the logarithm of its impulse and the pressure. None for
-    one that says nothing of them: a larger impulse, or no resistance.
+    light shift hardly passes the teeth, or stops at them until the chamber is full. None for one
+    that says nothing of them: a larger impulse, or no resistance.
     """
-    if travel_s < PASSES_S:
+    if travel_s < PASSES_S or spent > HEAVIEST:
         return None
-    stops = STOPS * (spent - LIGHT + LIGHT_PER_PA * (supply_pa - 9e5))
-    if stops > HEAVIEST_TESTED:
-        return None
+    by_impulse = STOPS * (spent - LIGHT + LIGHT_PER_PA * (supply_pa - 9e5))
     if travel_s > STOPPED_S:
-        found = stops + STOPPED_PER_S * (travel_s - STOPPED_AT_S)
-    else:
-        found = stops - NEAR_S / (travel_s - FREE_S)
-    return found + UNDERSTATED * max(found - UNDERSTATED_FROM, 0.0)
+        return by_impulse + STOPPED_PER_S * (travel_s - STOPPED_AT_S), STOPPED * STOPPED
+    return by_impulse - NEAR_S / (travel_s - FREE_S), PASSED * PASSED
 
 
 class Context(NamedTuple):
@@ -80,19 +74,10 @@ class Context(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """How much later than in the tables a release comes, and how well that is known.
-
-    later_s: of the release; delay_s: the part of it that is delay. age_s: how much older than assumed
-    the speeds are by which it is measured. variance: of the release; measured: of what is measured of
-    it; timing: of delay and age together, s2.
-    """
+    """How much later than in the tables a release comes, apart from the valves' delays, and its variance in s2."""
 
     later_s: float
-    delay_s: float
-    age_s: float
     variance: float
-    measured: float
-    timing: float
 
 
 class Correction(abc.ABC):
@@ -103,14 +88,13 @@ class Correction(abc.ABC):
     """The numbers of a unit that has learned nothing."""
     largest: ClassVar[tuple[float, ...]]
     """No number is further from zero than this."""
-    least: ClassVar[Mapping[int, float]] = {}
-    """Numbers, by their index, that are not below this."""
 
     def __init__(self) -> None:
         self.shifts = 0
         self.plain = 0
         """How many pushes are yet to be plain, after a fault or an outlier."""
         self.values = list(self.fresh)
+        self.clocks = Clocks()
         self.outliers = [0, 0]
         """By direction, outliers in a row, signed by their side."""
         self.surprise = 1.0
@@ -168,13 +152,15 @@ class Correction(abc.ABC):
     def dump(self) -> bytes:
         """Return the memory: version, method, shifts, surprise, numbers, checksum."""
         head = MAGIC, VERSION, self.number, self.shifts, self.plain, *self.outliers, self.surprise
-        body = HEADER.pack(*head)
-        body += struct.pack(f"<{len(self.values)}f", *self.values)
+        values = (*self.values, *self.clocks.values)
+        body = HEADER.pack(*head) + struct.pack(f"<{len(values)}f", *values)
         return body + CHECKSUM.pack(zlib.crc32(body))
 
     def load(self, memory: bytes) -> None:
         """Take a memory of this version and method; any other leaves the defaults."""
-        size = HEADER.size + 4 * len(self.fresh)
+        own = len(self.fresh)
+        count = own + len(Clocks.fresh)
+        size = HEADER.size + 4 * count
         if len(memory) != size + CHECKSUM.size:
             return
         body = memory[:size]
@@ -183,17 +169,16 @@ class Correction(abc.ABC):
         magic, version, number, shifts, plain, *outliers, surprise = HEADER.unpack(
             body[: HEADER.size]
         )
-        values = struct.unpack(f"<{len(self.fresh)}f", body[HEADER.size :])
+        values = struct.unpack(f"<{count}f", body[HEADER.size :])
         if (magic, version, number) != (MAGIC, VERSION, self.number):
             return
-        if not 0.0 <= surprise <= OUTLYING:
+        pairs = zip(values[:own], self.largest, strict=True)
+        are_valid = all(isfinite(value) and abs(value) <= most for value, most in pairs)
+        if not (are_valid and 0.0 <= surprise <= OUTLYING and Clocks.is_valid(values[own:])):
             return
-        pairs = zip(values, self.largest, strict=True)
-        low = any(values[k] < least for k, least in self.least.items())
-        if not low and all(isfinite(value) and abs(value) <= most for value, most in pairs):
-            self.shifts, self.plain, self.outliers = shifts, plain, outliers
-            self.surprise = surprise
-            self.values = list(values)
+        self.shifts, self.plain, self.outliers = shifts, plain, outliers
+        self.surprise = surprise
+        self.values, self.clocks.values = list(values[:own]), list(values[own:])
 
 
 def _diagonal(*sd: float) -> list[float]:
@@ -202,71 +187,59 @@ def _diagonal(*sd: float) -> list[float]:
 
 
 class Sensitivities(Correction):
-    """Friction of each synchronizer, drag, delay, and age of the speeds.
+    """Friction of each synchronizer, and drag.
 
-    release = table + slope * (friction + drag * its factor) + delay; measured as much later as the
-    speeds are older: a Kalman filter of five numbers that drift. What one shift says counts by its
-    scatter: of the friction from shift to shift and of the measured release. Errors that lean to one
-    side make all but the age uncertain again: a valve was exchanged, or the oil.
+    release = table + slope * (friction + drag * its factor): a Kalman filter of three numbers that
+    drift. What one shift says counts by its scatter: of the friction from shift to shift and of the
+    measured release. Errors that lean to one side make them uncertain again: the oil was changed.
     """
 
     number = 1
-    fresh = (0.0, 0.0, 0.015, 0.0, 0.0, *_diagonal(0.065, 0.065, 0.007, 0.0006, 0.003), 0.0)
+    fresh = (0.0, 0.0, 0.015, *_diagonal(0.065, 0.065, 0.007), 0.0)
     fresh += (0.0, UNKNOWN_MESH**2) * 2
-    largest = (0.5, 0.5, 0.2, 0.02, 0.02, *(1.0,) * 25, 20.0, *(1.0,) * 4)
-    least: ClassVar[Mapping[int, float]] = {3: -0.002}
-    """A valve of 8 ms cannot open much sooner: what is more is the age of the speeds."""
+    largest = (0.5, 0.5, 0.2, *(1.0,) * 9, 20.0, *(1.0,) * 4)
     mesh_drift = 0.002**2
-    drift = (0.0045**2, 0.0045**2, 0.0003**2, 0.00005**2, 0.0)
-    again = (0.03**2, 0.03**2, 0.003**2, 0.002**2, 0.0)
+    drift = (0.0045**2, 0.0045**2, 0.0003**2)
+    again = (0.03**2, 0.03**2, 0.003**2)
     """Added to the variances when the errors lean to one side."""
     leaning, forgets = 4.0, 0.75
 
     def offset(self, context: Context) -> Offset:
-        """Return slope * (friction + drag) + delay, and what is known of it with the scatter."""
+        """Return slope * (friction + drag), and what is known of it with the scatter."""
         own, slope_s, drag = context.direction, context.slope_s, context.drag
         by = self.values
-        first = 5 + 5 * own
-        row = by[first : first + 5]
-        of_own, with_drag, delay, age = row[own], row[2], row[3], row[4]
-        of_own += drag * (with_drag + with_drag + drag * by[17]) + context.scatter * context.scatter
-        delay += drag * by[18]
-        variance = slope_s * (slope_s * of_own + delay + delay) + by[23]
-        common = slope_s * (age + drag * by[19]) + by[24]
-        measured = variance + common + common + by[29]
-        timing = by[23] + by[24] + by[24] + by[29]
-        later_s = slope_s * (by[own] + drag * by[2]) + by[3]
-        return Offset(later_s, by[3], by[4], variance, measured, timing)
+        first = 3 + 3 * own
+        with_drag = by[first + 2]
+        known = by[first + own] + drag * (with_drag + with_drag + drag * by[11])
+        known += context.scatter * context.scatter
+        return Offset(slope_s * (by[own] + drag * by[2]), slope_s * slope_s * known)
 
     def learn(
         self, context: Context, error_s: float, impact_m_s: float, variance: float = RELEASE_S**2
     ) -> None:
         """Update the numbers and their covariances."""
         for k, added in enumerate(self.drift):
-            self.values[5 + 6 * k] += added
-        total = self.offset(context).measured + variance
+            self.values[3 + 4 * k] += added
+        total = self.offset(context).variance + variance
         slope_s, own = context.slope_s, context.direction
-        of = [
-            slope_s * row[own] + slope_s * context.drag * row[2] + row[3] + row[4]
-            for row in (self.values[at : at + 5] for at in range(5, 30, 5))
-        ]
-        for k in range(5):
+        drag_s = slope_s * context.drag
+        of = [slope_s * self.values[at + own] + drag_s * self.values[at + 2] for at in (3, 6, 9)]
+        for k in range(3):
             gain = of[k] / total
             moved = self.values[k] + gain * error_s
-            lowest = self.least.get(k, -self.largest[k])
-            self.values[k] = min(max(moved, lowest), self.largest[k])
-            for j, each in enumerate(of, 5 + 5 * k):
+            self.values[k] = min(max(moved, -self.largest[k]), self.largest[k])
+            for j, each in enumerate(of, 3 + 3 * k):
                 self.values[j] -= gain * each
-        leans = self.forgets * self.values[30] + error_s / sqrt(total)
+        leans = self.forgets * self.values[12] + error_s / sqrt(total)
         if abs(leans) > self.leaning:
             leans = 0.0
             for k, added in enumerate(self.again):
-                self.values[5 + 6 * k] += added
-        self.values[30] = leans
+                self.values[3 + 4 * k] += added
+        self.values[12] = leans
 
     def heavier(self, direction: int) -> tuple[float, float]:
         """Return what the pushes of this direction have shown."""
-        at = 31 + 2 * direction
+        at = 13 + 2 * direction
         return self.values[at], max(self.values[at + 1], ALIKE * ALIKE)
 
     def resisted(self, direction: int, share: float, variance: float) -> None:
@@ -274,7 +247,7 @@ class Sensitivities(Correction):
 
         One measurement alone, by a sensor that is about to fail, must not be relied on.
         """
-        at = 31 + 2 * direction
+        at = 13 + 2 * direction
         mean, known = self.values[at : at + 2]
         known = min(known + self.mesh_drift, UNKNOWN_MESH * UNKNOWN_MESH)
         weight = min(known / (known + variance), 0.5)
@@ -283,7 +256,7 @@ class Sensitivities(Correction):
         self.values[at : at + 2] = min(max(moved, -0.5), 0.5), known
 
     def forget(self, direction: int) -> None:
-        """Begin anew: what both directions have in common is in doubt as well."""
+        """Begin anew: what both directions have in common is in doubt as well, but not the clocks."""
         self.values = list(self.fresh)
 
 
@@ -308,11 +281,10 @@ class Map(Correction):
         return 2 * (BINS * context.direction + index)
 
     def offset(self, context: Context) -> Offset:
-        """Return the offset of the context, none of it as delay; it is well known after some shifts."""
+        """Return the offset of the context; it is well known after some shifts."""
         own = self._at(context)
         sd_s = context.slope_s * (WELL_KNOWN if self.values[own + 1] >= KNOWN_AFTER else UNKNOWN)
-        variance = sd_s * sd_s
-        return Offset(self._later_s(context), 0.0, 0.0, variance, variance, 0.0)
+        return Offset(self._later_s(context), sd_s * sd_s)
 
     def _later_s(self, context: Context) -> float:
         own, first = self._at(context), 2 * BINS * context.direction

@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from msgspec import Struct
 
 from can_dbc.messages import Gear
+from controller.clocks import Delays
 from controller.coil import Coil
 from controller.learning import (
     METHODS,
-    WEIGHED,
     Context,
     Correction,
     Offset,
@@ -32,16 +32,14 @@ from controller.programmes import (
 from controller.settings import ControlConfig, bounded
 from controller.strategies import Duties, ShiftContext
 from controller.strategies.into_gear import PUSH, Command, IntoGear, IntoGearParameters, Progress
+from controller.strategies.motion import START_S, Motion
 from controller.strategies.release import REPORT_RAD_S, Release
 
-COLDEST_K, REFERENCE_K, WARMEST_K = 253.15, 293.15, 343.15
+COLDEST_K, REFERENCE_K, TABLES_K, WARMEST_K = 253.15, 293.15, 323.15, 343.15
 SLOWEST_S = 0.0045
 """Valves that open later by more than this have no programme."""
-ALIKE_S, NEUTRAL_SHARE = 0.0006, 0.67
-"""Valves of a block open as late as each other by up to the first, two standard deviations between units. Of
-more than that the neutral valve is taken to have this share: a driving valve may have been exchanged alone.
-With all of it, such a truck fills neutral too long (1 of 3,500 shifts 30 ms longer); with a half or none
-of it one with three late valves too little (shifts 0.050 and 0.057 m/s harder)."""
+AIRLESS_S = 0.0001
+"""Air in neutral that delays a release by more than this delays the onset, too, but by less."""
 SUPPLY_PA = 0.2e5
 """Nor has a supply that is further than this from the nearest table."""
 WARM_K, DRAG_FOLD_K = 328.15, 26.0
@@ -67,11 +65,8 @@ UNLIKELY_SQUARE = UNLIKELY * UNLIKELY
 REST_S, REST_CLOSE_S, AIR_S, AIR_FOLD_S = 0.2, 0.035, 0.001, 0.0265
 """So long after neutral was filled through a valve with this closing delay, its air delays a release by
 so much, and less e-fold with every last; fitted to plain pushes of 25 to 230 N s, 0.16 to 0.3 s after."""
-MEASURED_S = 0.0015
-"""Scatter of the release of a plain push that was found between two reports."""
-FOLLOWED_S, PER_DELAY = 0.001, 0.12
-"""The same by a programme: at first, and by how much it delays the release. In 525 shifts of 12 trucks, each
-again without the programme: 2.0 ms for delays of 6 to 10 ms, 2.6 ms for longer ones."""
+EARLY_VARIANCE = 0.0012 * 0.0012
+"""More of the release by a programme that began before the stay moved, s2."""
 STALLED_S = 0.04
 """From release to arrival; after a programme it is 28 ms at most in 8 healthy trucks (1,526 shifts). What is
 more counts as an error of the release: the stay was stopped at the teeth, as by a valve that failed."""
@@ -79,7 +74,7 @@ OFF_M = 0.0008
 """Position before the stay moves, from neutral, from which on the sensor or its temperature is wrong: by
 16 K, five times the scatter of a thermometer."""
 LONGEST_S = 1e9
-DOUBTED, SURPRISED = 1.2, 1.9
+DOUBTED, SURPRISED = 1.5, 1.9
 """Mean square of the latest errors, by what was expected of them: from the first on a programme
 needs reports of this shift that alone tell the release well enough, from the second on every push is plain. In 22 healthy trucks it is 0.75
 in the mean, and 4.6 % of their programmes would begin above the first; 3 of 1,920 shifts in 8 others were
@@ -89,14 +84,17 @@ above the second."""
 class Expected(NamedTuple):
     """When the plain push would be released, s after its start: before and after this shift's reports.
 
-    age_s: of a report of the speeds. variance: of the release now. limits: what a careful programme
-    and a strong one bear of it.
+    age_s: of a report of the speeds; noise, timing: relative scatter of what it says, and variance of the time
+    to which it belongs in s2. variance: of the release now. limits: what a careful programme and a strong
+    one bear of it.
     """
 
     context: Context
     prior_s: float
     used_s: float
     age_s: float
+    noise: float
+    timing: float
     offset: Offset
     variance: float
     limits: tuple[float, float]
@@ -139,6 +137,10 @@ class Learned(IntoGear):
         """Relative change of the closing delay with the temperature."""
         late_s: Annotated[float, bounded(-0.02, 0.02, "s")] = 0.0004
         """From a step to its command at the coil."""
+        opens_later_s: Annotated[float, bounded(-0.02, 0.02, "s")] = 0.0
+        """How much later than nominal the valves opened at first, all three, if that was measured."""
+        open_s_per_k: Annotated[float, bounded(-0.001, 0.001, "s/K")] = 9.2e-6
+        """Change of the opening delay with the temperature; the tables are for 50 degrees Celsius."""
         speeds_age_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.0065
         """Age of a report of the speeds in the step that has it first, if nothing is learned."""
         still_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.055
@@ -181,12 +183,13 @@ class Learned(IntoGear):
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
-        self._has_ended, self._is_begun = False, False
-        self._is_weighed, self._is_fresh = False, False
+        self._has_ended, self._is_begun, self._was_begun = False, False, False
+        self._is_weighed, self._is_fresh, self._is_busy, self._is_turn = False, False, False, True
         self._careful: tuple[int, ...] = ()
         self._strong: tuple[int, ...] = ()
         self._tables: Nearby
-        self._close_s, self._cold, self._drag, self._late_s = 0.0, 0.0, 0.0, 0.0
+        self._close_s, self._late_s, self._nominal_s = 0.0, 0.0, 0.0
+        self._cold, self._drag = 0.0, 0.0
         self._sum_rad_s, self._count = 0.0, 0
         self._last_rad_s: float | None = None
         self._reported_s = -LONGEST_S
@@ -196,15 +199,27 @@ class Learned(IntoGear):
         self._coil: Coil
         self._filling, self._delay_s = 0, 0.0
         self._target_s = 0.0
-        self._release = Release(self.config.sensor.period_s, self.config.windows.stroke_m)
+        self._delays, self._has_delays = Delays(), False
+        self._release = Release()
+        stroke_m, supply_pa = self.config.windows.stroke_m, self.parameters.supply_pa
+        self._motion = Motion(self.config.sensor.period_s, stroke_m, supply_pa)
 
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
         """Return the duties of the programme, or the open loop's."""
         if self._direction is None:
             self._prepare(now_ns, shift)
+        elif not self._has_delays:
+            self._has_delays = True
+            self._delays = self._delayed(None)
         if self._expected is None and shift.apart_rad_s is not None:
             self._drag = copysign(self._cold, -shift.apart_rad_s)
-        self._release.position(estimate.samples, now_ns, shift.start_ns)
+        spent_s = 1e-9 * (now_ns - shift.start_ns)
+        # the first sample after a filling has begun is still of a plain push
+        self._motion.seeks_onset &= not self._was_begun
+        self._was_begun = self._is_begun
+        self._is_busy = self._motion.position(estimate.samples, spent_s, self._release.is_falling)
+        if self._is_busy and not self._is_begun:
+            self._take_onset()
         return super().command(now_ns, estimate, shift)
 
     def _prepare(self, now_ns: int, shift: ShiftContext) -> None:
@@ -238,8 +253,33 @@ class Learned(IntoGear):
         later_s = REST_S + self._close_s - REST_CLOSE_S - rest_s
         self._late_s = own.late_s + AIR_S * exp(min(later_s / AIR_FOLD_S, 3.0))
         self._coil = Coil(period_s, self._close_s)
+        self._nominal_s = own.opens_later_s + own.open_s_per_k * (warmer_k + REFERENCE_K - TABLES_K)
+        is_empty = self._late_s - own.late_s < AIRLESS_S
+        self._motion.seeks_onset = is_empty and shift.leg is not Gear.NEUTRAL and shift.attempt == 0
         self._tables = self._library.near(own.supply_pa)
         self._plain |= abs(own.supply_pa - self._tables.nearest.supply_pa) > SUPPLY_PA
+
+    def _delayed(self, onset_s: float | None) -> Delays:
+        """Return how much later the valves open than those of the tables, by the onset of this push if it is known."""
+        assert self._direction is not None
+        nominal_s = self._nominal_s
+        if onset_s is not None:
+            onset_s -= nominal_s
+        found = self.correction.clocks.delays(self._direction, onset_s)
+        return found._replace(
+            driving_s=found.driving_s + nominal_s, neutral_s=found.neutral_s + nominal_s
+        )
+
+    def _take_onset(self) -> None:
+        """Expect the release as much later as the driving valve has opened."""
+        self._is_fresh = True
+        before_s = self._delays.driving_s
+        self._delays = self._delayed(self._motion.onset_s)
+        if (expected := self._expected) is not None:
+            later_s = self._delays.driving_s - before_s
+            self._expected = expected._replace(
+                prior_s=expected.prior_s + later_s, used_s=expected.used_s + later_s
+            )
 
     def decide(self, progress: Progress) -> Command:
         """Follow the programme that is expected to fit.
@@ -255,7 +295,7 @@ class Learned(IntoGear):
         if self._waits or self._expected is None:
             return PUSH
         step = round(progress.spent_s / self.config.period_s)
-        if self._plain and not self._is_begun:
+        if (self._plain or self._delays.is_doubted) and not self._is_begun:
             self._programme = None
             return PUSH
         if self._programme is None and not self._is_fresh:
@@ -291,9 +331,7 @@ class Learned(IntoGear):
         if not strengths:
             return
         table = self._tables.nearest
-        delay_s = expected.offset.delay_s
-        if delay_s > ALIKE_S:
-            delay_s = max(ALIKE_S, NEUTRAL_SHARE * delay_s)
+        delay_s = self._delays.neutral_s
         target_s = expected.used_s - delay_s - self.parameters.late_s
         programme = table.row(target_s, step, strengths)
         if programme is None or step + 1 < programme.begin:
@@ -306,9 +344,9 @@ class Learned(IntoGear):
         The softer ones first; another may still begin when it is too late for them. While the latest errors
         are doubtful, the reports of this shift alone have to tell the release that well.
         """
-        delay_s, (careful, strong) = expected.offset.delay_s, expected.limits
+        careful, strong = expected.limits
         surprise = self.correction.surprise
-        if surprise > SURPRISED or delay_s > SLOWEST_S:
+        if surprise > SURPRISED or self._delays.driving_s > SLOWEST_S:
             return ()
         if expected.context.share < LIGHT_SHARE and not self._is_weighed:
             return ()
@@ -329,9 +367,11 @@ class Learned(IntoGear):
             self._last_rad_s = apart_rad_s
             self._sum_rad_s += apart_rad_s
             self._count += 1
-            # in turn with choosing a programme, which is as much to do
-            self._is_fresh = self._count % 2 == 0 and self._programme is None
-            if self._is_fresh:
+            # in turn with choosing a programme, which is as much to do; neither when the onset was found
+            self._is_turn ^= not self._is_busy
+            expects = self._is_turn and self._programme is None
+            self._is_fresh = expects or self._is_busy
+            if expects and not self._is_busy:
                 self._expect(self._sum_rad_s / self._count)
         elif self._expected is not None and self._release.released_s is None:
             before_rad_s = self._sum_rad_s / self._count
@@ -356,12 +396,15 @@ class Learned(IntoGear):
         share = min(max(share, 0.0), 1.0)
         context = Context(self._direction, slope_s, share, self._drag, scatter)
         offset = self.correction.offset(context)
-        prior_s = release_s + offset.later_s + self._late_s
-        age_s = own.speeds_age_s + offset.age_s
+        prior_s = release_s + offset.later_s + self._delays.driving_s + self._late_s
+        clocks = self.correction.clocks
+        age_s, timing = own.speeds_age_s + clocks.age_s, TIMING_VARIANCE + clocks.variance
         careful_s = min(KNOWN[0] * slope_s, KNOWN_S[0])
         strong_s = min(KNOWN[1] * slope_s, KNOWN_S[1])
         limits = careful_s * careful_s, strong_s * strong_s
-        self._expected = Expected(context, prior_s, prior_s, age_s, offset, offset.variance, limits)
+        self._expected = Expected(
+            context, prior_s, prior_s, age_s, noise, timing, offset, offset.variance, limits
+        )
 
     def _follow(self, expected: Expected, at_s: float, given: float) -> None:
         """Correct the expected release by the share of the impulse that has been `given`.
@@ -374,12 +417,12 @@ class Learned(IntoGear):
             return
         is_measured, given = given > 0.1, max(given, 0.1)
         offset = expected.offset
-        delay_s = offset.delay_s + self._late_s
+        delay_s = self._delays.driving_s + self._late_s
         table = self._tables.nearest
         spent, rate_s = table.spent(at_s - delay_s)
         found_s = table.release(spent - log(given))[0] + delay_s
-        noise = REPORT_RAD_S * self._count / (given * self._sum_rad_s)
-        timing = (TIMING_VARIANCE + offset.timing) / (rate_s * rate_s)
+        noise = expected.noise / given
+        timing = expected.timing / (rate_s * rate_s)
         slope_s = expected.context.slope_s
         variance = (noise * noise + timing) * slope_s * slope_s
         total = offset.variance + variance
@@ -403,57 +446,56 @@ class Learned(IntoGear):
             correction.plain = self.parameters.plain_pushes
             return
         correction.shifts = min(correction.shifts + 1, 0xFFFFFFFF)
-        if self._plain or expected is None or release.released_s is None:
+        if self._direction is not None and self._motion.onset_s is not None:
+            if self._is_begun:
+                self._take_onset()
+                expected = self._expected
+            correction.clocks.began(self._direction, self._motion.onset_s - self._nominal_s)
+        if not (self._plain or self._delays.is_doubted or expected is None):
+            self._learn(expected)
+
+    def _learn(self, expected: Expected) -> None:
+        """Learn from a push into a gear, if samples and speeds tell the same of its release."""
+        correction, motion, programme = self.correction, self._motion, self._programme
+        delayed_s = 0.0 if programme is None else programme.released_s - programme.plain_s
+        left = motion.released_s(expected.used_s + delayed_s, programme is None)
+        origin_s = correction.clocks.origin_s
+        if motion.onset_s is not None:
+            origin_s = motion.onset_s - self._delays.driving_s
+        if left is None or origin_s is None or self._release.released_s is None:
             return
-        error_s, variance = self._error(expected, release.released_s)
-        travel_s = (release.arrived_s or 0.0) - release.released_s - expected.age_s
-        if self._programme is not None:
+        left_s, variance = left
+        if motion.onset_s is None and programme is not None:
+            variance += EARLY_VARIANCE
+        released_s = left_s - origin_s + START_S + self.parameters.late_s
+        if not correction.clocks.aged(self._release.released_s - released_s):
+            correction.plain = self.parameters.plain_pushes
+            return
+        error_s = released_s - expected.used_s - delayed_s
+        if programme is not None:
+            error_s -= (programme.gain - 1.0) * (self._target_s - programme.plain_s)
+            error_s /= programme.gain
+        error_s += expected.used_s - expected.prior_s
+        travel_s = 0.0 if motion.arrived_s is None else motion.arrived_s - left_s
+        if programme is not None:
             error_s += max(travel_s - STALLED_S, 0.0)
-        total = expected.offset.measured + variance
+        total = expected.offset.variance + variance
         limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(total))
         is_outlier = abs(error_s) > limit_s
         correction.note(error_s, total, is_outlier)
+        direction = expected.context.direction
         if is_outlier:
             correction.plain = self.parameters.plain_pushes
         else:
-            correction.outliers[expected.context.direction] = 0
-        if not is_outlier or correction.is_evidence(
-            expected.context.direction, error_s, self.parameters.outliers
-        ):
-            correction.learn(expected.context, error_s, release.fastest_m_s, variance)
-            if self._programme is None and release.arrived_s is not None:
+            correction.outliers[direction] = 0
+        if not is_outlier or correction.is_evidence(direction, error_s, self.parameters.outliers):
+            correction.learn(expected.context, error_s, motion.fastest_m_s, variance)
+            if programme is None and motion.arrived_s is not None:
                 self._weigh(expected, expected.prior_s + error_s, travel_s)
 
     def _weigh(self, expected: Expected, released_s: float, travel_s: float) -> None:
-        """Find the meshing force from how long a plain push of a light shift took to arrive.
-
-        Not with late valves: the one of the other gear may be late alone, and then the impulse is not
-        that which would have been given in this time.
-        """
-        if expected.offset.delay_s > ALIKE_S:
-            return
-        air_s = self._late_s - self.parameters.late_s
-        spent, _ = self._tables.nearest.spent(released_s - expected.offset.delay_s - air_s)
+        """Find the meshing force from how long a plain push of a light shift took to arrive."""
+        spent, _ = self._tables.nearest.spent(released_s - self._delays.driving_s - self._late_s)
         found = heavier_by(spent, travel_s, self.parameters.supply_pa)
         if found is not None:
-            self.correction.resisted(expected.context.direction, found, WEIGHED * WEIGHED)
-
-    def _error(self, expected: Expected, released_s: float) -> tuple[float, float]:
-        """Return how much later than expected beforehand the plain push would have been released.
-
-        And the variance of that, as it was measured.
-        """
-        late_s, measured_s = released_s - expected.used_s, MEASURED_S
-        if (programme := self._programme) is not None:
-            delayed_s = programme.released_s - programme.plain_s
-            late_s -= delayed_s + (programme.gain - 1.0) * (self._target_s - programme.plain_s)
-            late_s /= programme.gain
-            measured_s = FOLLOWED_S + PER_DELAY * abs(delayed_s)
-        late_s += expected.used_s - expected.prior_s
-        measured = measured_s * measured_s
-        if self._found is not None:
-            found_s, variance = self._found
-            share = measured / (measured + variance)
-            late_s += share * (found_s - expected.prior_s - late_s)
-            measured *= 1.0 - share
-        return late_s, measured
+            self.correction.resisted(expected.context.direction, *found)

@@ -1,55 +1,33 @@
-"""When the stay is released and when it arrives in a push, found from late reports."""
+"""When the stay is released in a push, found from late reports of the speeds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from controller.position import Sample
 from controller.speeds import cycle_ns
 
 REPORT_RAD_S = 0.28
 """Scatter of a reported difference of the speeds; one below four times this is none."""
-ARRIVED = 0.9
-"""Share of the stroke at which the stay has passed the teeth."""
 
 
 class Release:
     """Take the reports of one push; times are in s since its start.
 
-    released_s: when the synchronizer let go, None until it is found. arrived_s: when the stay passed
-    the teeth, as late as the sensor reports it. fastest_m_s: greatest speed between two samples since
-    the speeds began to fall.
+    released_s: when the synchronizer let go, None until it is found.
     """
 
-    def __init__(self, sample_period_s: float, stroke_m: float) -> None:
+    def __init__(self) -> None:
         self.released_s: float | None = None
-        self.arrived_s: float | None = None
-        self.fastest_m_s = 0.0
-        self._period_s = sample_period_s
-        self._arrived_m = ARRIVED * stroke_m
         self._cycle_s = 1e-9 * cycle_ns()
-        self._before_m: float | None = None
         self._falling: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def is_falling(self) -> bool:
+        """Whether the speeds have begun to fall."""
+        return bool(self._falling)
 
     @property
     def is_open(self) -> bool:
         """Whether the speeds have begun to fall, but not yet agreed."""
         return bool(self._falling) and self.released_s is None
-
-    def position(self, samples: Sequence[Sample], now_ns: int, start_ns: int) -> None:
-        """Take the samples of a step: how fast the stay is, and whether it has passed the teeth.
-
-        now_ns, start_ns: of this step, and of the push.
-        """
-        for sample in samples:
-            if self._before_m is not None and self._falling:
-                way_m = abs(sample.raw_m - self._before_m)
-                self.fastest_m_s = max(self.fastest_m_s, way_m / self._period_s)
-                over_m = abs(sample.raw_m) - self._arrived_m
-                if over_m > 0.0 and self.arrived_s is None and way_m > 0.0:
-                    back_s = min(over_m / way_m, 1.0) * self._period_s
-                    self.arrived_s = 1e-9 * (now_ns - start_ns) - back_s
-            self._before_m = sample.raw_m
 
     def speeds(self, apart_s: float, apart_rad_s: float, before_rad_s: float) -> bool:
         """Take a difference of the speeds at a time; before_rad_s: that before the push.

@@ -131,15 +131,15 @@ def truth(drawn: Drawn) -> tuple[dict[str, Any], bytes]:
         own("scatter"): 0.0,
         own("close_s"): drawn.settings["valve.D_fall"],
         own("close_per_k"): 0.0,
+        own("open_s_per_k"): 0.0,
+        own("opens_later_s"): drawn.settings["valve.D_rise"] - TABLES_OPEN_S,
         own("supply_pa"): drawn.settings["plant.supply_pressure_pa"],
         own("impulse_per_rad_s"): drawn.known[own("impulse_per_rad_s")]
         * (drawn.impulse_n_s / drawn.expected_n_s),
     }
     unit = Sensitivities()
-    later_s = drawn.settings["valve.D_rise"] - TABLES_OPEN_S
     mesh = drawn.settings["plant.mesh_force_n"] / TABLES_MESH_N - 1.0
-    unit.values[:29] = [0.0, 0.0, 0.0, later_s, *[0.0] * 25]
-    unit.values[31:] = [mesh, 0.0, mesh, 0.0]
+    unit.values = [*[0.0] * 13, mesh, 0.0, mesh, 0.0]
     return drawn.known | exact, unit.dump()
 
 

@@ -68,10 +68,10 @@ def test_two_stops_at_the_teeth_after_a_programme_make_many_pushes_plain() -> No
     """As by a valve that did not open again: good pushes in between are no sign that it has healed."""
     strategy = practised()
     assert not plain(push(strategy, 140.0))
-    assert strategy._release.released_s is not None
+    assert strategy._motion.left is not None
     arrived = Estimate(True, 0.012, 0.012, 0.0, ())
     for travel_s, plain_pushes in ((0.03, 0), (0.2, 2), (0.2, 2)):
-        strategy._release.arrived_s = strategy._release.released_s + travel_s
+        strategy._motion.arrived_s = strategy._motion.left[0] + travel_s
         strategy._has_ended = False
         strategy.ended(10**9, arrived, True, True)
         assert strategy.correction.plain == plain_pushes

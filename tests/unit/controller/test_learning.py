@@ -10,13 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from controller.clocks import Clocks
 from controller.learning import (
     ALIKE,
     HEADER,
     MAGIC,
     METHODS,
+    PASSED,
+    STOPPED,
     STOPPED_PER_S,
-    UNDERSTATED,
     UNKNOWN_MESH,
     VERSION,
     Context,
@@ -33,6 +35,8 @@ def taught(name: str) -> bytes:
     for k in range(5):
         method.learn(LARGE if k % 2 else SMALL, 0.001 * k, 0.5)
         method.shifts += 1
+    method.clocks.began(0, 0.03)
+    method.clocks.aged(0.002)
     method.plain = 2
     method.note(0.002, 1e-6)
     return method.dump()
@@ -90,54 +94,37 @@ def test_a_right_checksum_is_not_enough(
     name: str, magic: bytes, version: int, number: int, value: float, surprise: float
 ) -> None:
     method = METHODS[name]()
-    values = [value] + [0.0] * (len(method.fresh) - 1)
+    values = [value] + [0.0] * (len(method.fresh) + len(Clocks.fresh) - 1)
     body = HEADER.pack(magic, version, number or method.number, 7, 0, 0, 0, surprise)
     body += struct.pack(f"<{len(values)}f", *values)
     method.load(body + struct.pack("<I", zlib.crc32(body)))
     assert method.dump() == METHODS[name]().dump()
 
 
-def test_contexts_tell_friction_drag_and_delay_or_age_apart() -> None:
+def test_contexts_tell_friction_and_drag_apart() -> None:
     method = Sensitivities()
     contexts = [each._replace(drag=drag) for each in (LARGE, SMALL) for drag in (3.0, -3.0)]
     for k in range(120):
         context = contexts[k % 4]
-        right_s = context.slope_s * (0.06 + 0.03 * context.drag) + 0.002
-        method.learn(context, right_s - method.offset(context).later_s - method.values[4], 0.5)
-    friction, _, drag, delay_s, age_s = method.values[:5]
+        right_s = context.slope_s * (0.06 + 0.03 * context.drag)
+        method.learn(context, right_s - method.offset(context).later_s, 0.5)
+    friction, other, drag = method.values[:3]
     assert friction == pytest.approx(0.06, abs=0.005)
     assert drag == pytest.approx(0.03, abs=0.002)
-    assert delay_s + age_s == pytest.approx(0.002, abs=2e-4)
-    assert age_s > 5.0 * abs(delay_s), "the valves are known better than the age of the speeds"
+    assert abs(other) < 0.001, "nothing was said of the other synchronizer"
     assert method.offset(LARGE).variance < 0.3 * Sensitivities().offset(LARGE).variance
 
 
-def test_after_errors_to_one_side_a_delay_is_learned() -> None:
-    """The age of the speeds is known by then, so 3 ms more are the valves'."""
-    method, learned_after = Sensitivities(), 0
-    for k in range(80):
-        context = Context(k % 2, 0.09 if k % 4 > 1 else 0.03, 0.5)
-        right_s = 0.004 if k < 50 else 0.007
-        method.learn(context, right_s - method.offset(context).later_s - method.values[4], 0.5)
-        if k >= 50 and method.values[3] < 0.0015:
-            learned_after = k - 50
-    assert learned_after < 15
-    assert method.values[3] == pytest.approx(0.003, abs=0.001)
-
-
-def test_no_valve_opens_much_sooner_than_it_can_what_is_more_is_the_age_of_the_speeds() -> None:
-    """A memory of such a valve is refused."""
-    method = Sensitivities()
-    method.values[23] = 0.004**2  # variance of the delay
-    for k in range(60):
-        context = Context(k % 2, 0.09 if k % 4 > 1 else 0.03, 0.5)
-        method.learn(context, -0.008 - method.offset(context).later_s - method.values[4], 0.5)
-        assert method.values[3] >= -0.002
-    assert method.values[3] + method.values[4] == pytest.approx(-0.008, abs=0.002)
-    method.values[3] = -0.0021
-    other = Sensitivities()
-    other.load(method.dump())
-    assert other.dump() == Sensitivities().dump()
+def test_after_errors_to_one_side_friction_is_learned_faster() -> None:
+    """As after a change of the oil."""
+    method, plain = Sensitivities(), Sensitivities()
+    plain.leaning = 1e9  # type: ignore[misc]
+    for each in (method, plain):
+        for k in range(60):
+            right_s = LARGE.slope_s * (0.0 if k < 50 else 0.15)
+            each.learn(LARGE, right_s - each.offset(LARGE).later_s, 0.5)
+    assert method.values[0] > plain.values[0] + 0.005
+    assert method.values[0] == pytest.approx(0.15, abs=0.015)
 
 
 def test_the_meshing_force_of_each_direction() -> None:
@@ -155,14 +142,16 @@ def test_the_meshing_force_of_each_direction() -> None:
     )
 
 
-def test_heavier_teeth_stop_a_push_for_longer_and_far_heavier_ones_are_understated() -> None:
-    found = [heavier_by(log(18.0), travel_s, 9e5) for travel_s in (0.0216, 0.05, 0.06, 0.09, 0.1)]
-    light, stopped, longer, longest, last = (share for share in found if share is not None)
-    assert light < 0.0 < stopped < longer < 0.1 < longest
-    assert longer - stopped == pytest.approx(STOPPED_PER_S * 0.01)
-    assert last - longest == pytest.approx((1.0 + UNDERSTATED) * STOPPED_PER_S * 0.01)
-    assert heavier_by(log(18.0), 0.02, 9e5) is None, "no resistance"
-    assert heavier_by(log(30.0), 0.05, 9e5) is None, "a large impulse"
+def test_heavier_teeth_stop_a_push_for_longer() -> None:
+    found = [heavier_by(log(18.0), travel_s, 9e5) for travel_s in (0.016, 0.02, 0.065, 0.075)]
+    light, usual, stopped, longer = (each for each in found if each is not None)
+    assert light[0] < usual[0] < stopped[0] < longer[0] < 0.2
+    assert longer[0] - stopped[0] == pytest.approx(STOPPED_PER_S * 0.01)
+    assert [each[1] for each in (light, stopped)] == [PASSED**2, STOPPED**2]
+    assert heavier_by(log(18.0), 0.0139, 9e5) is None, "no resistance"
+    assert heavier_by(log(31.0), 0.05, 9e5) is None, "a large impulse"
+    weaker = heavier_by(log(18.0), 0.02, 8e5)
+    assert weaker is not None and weaker[0] < usual[0], "under less pressure it takes less to stop"
 
 
 @pytest.mark.parametrize("name", ["sensitivities", "map", "iterative"])
