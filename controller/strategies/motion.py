@@ -37,7 +37,7 @@ SCATTER_S = {
     (False, True): 0.0008,
 }
 """Time from the release to a way beyond the block, and how well it is known: after a plain push or a programme,
-whose delay of the release is known to 0.5 ms; far beyond it or not."""
+whose delay of the release is known to 0.5 ms, and is 0.45 ms more than in its table; far beyond it or not."""
 ARRIVED = 0.9
 """Share of the stroke at which the stay has passed the teeth."""
 

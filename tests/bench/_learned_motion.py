@@ -1,23 +1,37 @@
-"""Fit what the samples of the position tell of a push: the constants of `controller/strategies/motion.py`.
+"""Fit what the samples of the position tell of a push: `controller/strategies/motion.py`, and the teeth.
 
 python -m tests.bench._learned_motion FIRST LAST SHIFTS
 
 The onset from plain pushes of the shipped scenario, over the pressure of the supply and the phase of the
 sensor. The release from trucks FIRST to LAST of the shipped population, SHIFTS of each, by the open loop
-and by strategy learned. Prints the constants and their errors.
+and by strategy learned; the age of the samples is fitted with it, one for each truck. The meshing force
+(`controller.learning.heavier_by`) from light pushes of the same trucks against teeth from 12 % lighter to
+15 % heavier. Prints the constants and their errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import sys
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from controller.learning import STOPPED_S, heavier_by
 from controller.position import Estimate, Sample
+from controller.programmes import library
 from controller.strategies import Duties, ShiftContext, Strategy
 from controller.strategies.learned import Learned
-from controller.strategies.motion import HIGHEST_M, LOWEST_M, MEAN_PA, Motion
+from controller.strategies.motion import (
+    FAR_M,
+    HIGHEST_M,
+    LOWEST_M,
+    MEAN_PA,
+    START_S,
+    Motion,
+)
 from controller.strategies.open_loop import OpenLoop
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.studies.fleet import OWN, FleetTable, Truck
@@ -158,3 +172,66 @@ def push(
         is_falling = time_s > released[0] - 2.0 * PERIOD_S
         motion.position([Sample(at_m, at_m, 0.0)], time_s, is_falling)
     yield Push(motion, released[0], settings, truck, kind, impulse_n_s)
+
+
+def base_s(found: Sequence[Push]) -> dict[int, float]:
+    """Return of each truck the mean onset of its plain pushes after valve and command: the age of its samples."""
+    onsets = defaultdict[int, list[float]](list)
+    for each in found:
+        if each.kind != "programme" and each.motion.onset_s is not None:
+            onsets[each.truck].append(each.motion.onset_s - each.settings["valve.D_rise"] - LATE_S)
+    errors_ms = [1e3 * (one - np.mean(all_s)) for all_s in onsets.values() for one in all_s]
+    print(f"onset of {len(errors_ms)} plain pushes: sd {np.std(errors_ms):.3f} ms")
+    return {truck: float(np.mean(all_s)) for truck, all_s in onsets.items()}
+
+
+def release(found: Sequence[Push], age_s: Mapping[int, float]) -> None:
+    """Print the fit of the time from the release to a sample, in ms, after plain pushes and by programmes."""
+    for is_plain, is_far in product((True, False), (False, True)):
+        rows, times_ms = [], []
+        for each in found:
+            left = each.motion.left
+            if left is None or (each.kind != "programme") != is_plain:
+                continue
+            at_s, beyond_m = left
+            if (beyond_m >= FAR_M) == is_far:
+                root = np.sqrt(1e3 * beyond_m)
+                rows.append([1.0, root, 0.1 * root / each.released_s, root**2])
+                times_ms.append(1e3 * (at_s - each.released_s - age_s[each.truck]))
+        fitted, errors = fit(np.array(rows), np.array(times_ms))
+        kind = f"{'plain' if is_plain else 'programme'}, {'far' if is_far else 'near'}"
+        print(f"release, {kind}: {np.round(fitted, 3)}; {errors}")
+
+
+def teeth(found: Sequence[Push], age_s: Mapping[int, float]) -> None:
+    """Print the error of the meshing force that light pushes tell, of those that passed and that stopped."""
+    errors: dict[bool, list[float]] = {True: [], False: []}
+    for each in found:
+        left = each.motion.released_s(each.released_s, True)
+        if each.kind != "light" or left is None or each.motion.arrived_s is None:
+            continue
+        supply_pa = each.settings["plant.supply_pressure_pa"]
+        # since the command, and with nominal valves: the opening delay is in both times
+        since_s = left[0] - age_s[each.truck] + START_S - each.settings["valve.D_rise"] - LATE_S
+        spent, _ = library().near(supply_pa).nearest.spent(since_s)
+        travel_s = each.motion.arrived_s - left[0]
+        share = heavier_by(spent, travel_s, supply_pa)
+        if share is not None:
+            true = each.settings["plant.mesh_force_n"] / TABLES_MESH_N - 1.0
+            errors[travel_s > STOPPED_S].append(share[0] - true)
+    for is_stopped, sizes in errors.items():
+        print(f"meshing force, {'stopped' if is_stopped else 'passed'}: {len(sizes)} pushes, "
+              f"mean {np.mean(sizes):.3f}, sd {np.std(sizes):.3f}")  # fmt: skip
+
+
+def main(first: int, last: int, shifts: int) -> None:
+    """Print all fits."""
+    onset()
+    found = list(pushes(first, last, shifts))
+    age_s = base_s(found)
+    release(found, age_s)
+    teeth(found, age_s)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:4]))
