@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import NamedTuple
 
@@ -11,16 +12,14 @@ JUMP_S, SAME_S, FOLLOWED = 0.0015, 0.0008, 0.3
 in doubt until another is within the second of it; else it moves them by the third of the way."""
 SPEEDS_S, UNKNOWN_S = 0.0017, 0.003
 """Scatter of a release that is found from two reports of the speeds; of their age between units."""
-UNLIKELY = 4.0
-OUTLIERS = 3
+LARGEST_S = 0.02
+"""No age is further from the one assumed."""
+UNLIKELY, REFUSED = 4.0, 3.0
 """Standard deviations from which on an age is refused, until so many in a row were."""
 SETTLED = 16.0
 """The origin is the mean of so many onsets."""
 UNSEEN, SEEN, DOUBTED = 0.0, 1.0, 2.0
 """State of the onsets of a direction."""
-AGE, VARIANCE, REFUSED, ORIGIN, COUNT, FIRST = range(6)
-SIZE = 3
-"""Of a direction, from `FIRST` on: latest onset after the origin, one that jumped, state."""
 
 
 class Delays(NamedTuple):
@@ -34,53 +33,62 @@ class Delays(NamedTuple):
     is_doubted: bool = False
 
 
+@dataclass
+class Onsets:
+    """Of one direction, in s after the origin: the latest ones, and one that jumped, 0 for none."""
+
+    latest_s: float = 0.0
+    jumped_s: float = 0.0
+    state: float = UNSEEN
+
+
+@dataclass
 class Clocks:
     """Age of the reported speeds, and onsets of the pushes in each direction.
 
-    An onset tells by how much a driving valve opens later than it did at first: it is measured against
-    the commands by samples of the position, whose age is constant in a unit. How late the first ones
-    were cannot be told from that age: they are taken to be nominal.
+    age_s: how much older than assumed the speeds are in the step that has them first; variance: of that, in
+    s2; refused: how many ages in a row. An onset tells by how much a driving valve opens later than it
+    did at first: it is measured against the commands by samples of the position, whose age is constant
+    in a unit. How late the first ones were cannot be told from that age: they are taken to be nominal, and
+    origin_s is the mean of the first ones, count.
     """
 
-    fresh: tuple[float, ...] = (0.0, UNKNOWN_S**2, 0.0, 0.0, 0.0, *(0.0, 0.0, UNSEEN) * 2)
-    largest = 0.02, 1.0, 10.0, 1.0, SETTLED, *(0.5, 0.5, DOUBTED) * 2
+    age_s: float = 0.0
+    variance: float = UNKNOWN_S * UNKNOWN_S
+    refused: float = 0.0
+    origin_s: float = 0.0
+    count: float = 0.0
+    directions: tuple[Onsets, Onsets] = field(default_factory=lambda: (Onsets(), Onsets()))
 
-    def __init__(self) -> None:
-        self.values = list(self.fresh)
+    LARGEST = LARGEST_S, 1.0, REFUSED, 1.0, SETTLED, *(0.5, 0.5, DOUBTED) * 2
+    """No number of `values` is further from zero."""
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """All numbers, as they are kept in the memory."""
+        both = [each for own in self.directions for each in (own.latest_s, own.jumped_s, own.state)]
+        return self.age_s, self.variance, self.refused, self.origin_s, self.count, *both
 
     @classmethod
-    def is_valid(cls, values: Sequence[float]) -> bool:
-        """Return whether numbers can be those of a unit."""
-        pairs = zip(values, cls.largest, strict=True)
-        return all(isfinite(each) and abs(each) <= most for each, most in pairs)
-
-    @property
-    def age_s(self) -> float:
-        """How much older than assumed the speeds are in the step that has them first."""
-        return self.values[AGE]
-
-    @property
-    def variance(self) -> float:
-        """Of the age, s2."""
-        return self.values[VARIANCE]
-
-    @property
-    def origin_s(self) -> float | None:
-        """When the valves for the gears moved the stay at first; None before the first push."""
-        return self.values[ORIGIN] if self.values[COUNT] > 0.0 else None
+    def of(cls, values: Sequence[float]) -> Clocks | None:
+        """Return the clocks with these numbers, None if they cannot be those of a unit."""
+        pairs = zip(values, cls.LARGEST, strict=True)
+        if not all(isfinite(each) and abs(each) <= most for each, most in pairs):
+            return None
+        return cls(*values[:5], (Onsets(*values[5:8]), Onsets(*values[8:])))
 
     def aged(self, later_s: float) -> bool:
         """Take by how much later the speeds told a release than the position did. Return whether it fits."""
-        age_s, variance, refused = self.values[:ORIGIN]
-        total = variance + SPEEDS_S * SPEEDS_S
+        total = self.variance + SPEEDS_S * SPEEDS_S
         if later_s * later_s > UNLIKELY * UNLIKELY * total:
-            self.values[REFUSED] = refused + 1.0
-            if refused + 1.0 >= OUTLIERS:
-                self.values[VARIANCE], self.values[REFUSED] = UNKNOWN_S * UNKNOWN_S, 0.0
+            self.refused += 1.0
+            if self.refused >= REFUSED:
+                self.variance, self.refused = UNKNOWN_S * UNKNOWN_S, 0.0
             return False
-        gain = variance / total
-        moved_s = age_s + gain * later_s
-        self.values[:ORIGIN] = min(max(moved_s, -0.02), 0.02), (1.0 - gain) * variance, 0.0
+        gain = self.variance / total
+        self.age_s = min(max(self.age_s + gain * later_s, -LARGEST_S), LARGEST_S)
+        self.variance *= 1.0 - gain
+        self.refused = 0.0
         return True
 
     def delays(self, direction: int, onset_s: float | None) -> Delays:
@@ -89,16 +97,15 @@ class Clocks:
         Of the neutral one nothing is measured in a push into a gear. If both others are late it is taken to be
         so, too (a block was exchanged), as far as the sooner one; if one is late alone it is taken to be in time.
         """
-        latest_s, _, state = self._of(direction)
-        others_s, _, other_state = self._of(1 - direction)
-        if state == UNSEEN:
+        own, other = self.directions[direction], self.directions[1 - direction]
+        if own.state == UNSEEN:
             return Delays()
-        driving_s, is_doubted = latest_s, state == DOUBTED
+        driving_s, is_doubted = own.latest_s, own.state == DOUBTED
         if onset_s is not None:
-            driving_s = onset_s - self.values[ORIGIN]
+            driving_s = onset_s - self.origin_s
             is_doubted = not self._is_confirmed(direction, driving_s)
-        is_doubted |= other_state == DOUBTED and driving_s > others_s + JUMP_S
-        neutral_s = driving_s if other_state == UNSEEN else min(driving_s, others_s)
+        is_doubted |= other.state == DOUBTED and driving_s > other.latest_s + JUMP_S
+        neutral_s = driving_s if other.state == UNSEEN else min(driving_s, other.latest_s)
         return Delays(driving_s, neutral_s, is_doubted)
 
     def began(self, direction: int, onset_s: float) -> None:
@@ -106,48 +113,47 @@ class Clocks:
 
         Until then the other direction is in doubt as well: its valve may have been exchanged with this one.
         """
-        if self.origin_s is None:
-            self.values[ORIGIN] = onset_s
-        own, other = FIRST + SIZE * direction, FIRST + SIZE * (1 - direction)
-        later_s = onset_s - self.values[ORIGIN]
-        latest_s, _, state = self._of(direction)
+        if self.count == 0.0:
+            self.origin_s = onset_s
+        own, other = self.directions[direction], self.directions[1 - direction]
+        later_s = onset_s - self.origin_s
         if (
-            state == UNSEEN and later_s < -JUMP_S
+            own.state == UNSEEN and later_s < -JUMP_S
         ):  # the other valve was exchanged: this one is nominal
-            self.values[ORIGIN] += later_s
-            self.values[other] -= later_s
+            self.origin_s += later_s
+            other.latest_s -= later_s
             later_s = 0.0
-        if state == UNSEEN:
-            self.values[own : own + SIZE] = later_s, 0.0, SEEN
+        if own.state == UNSEEN:
+            own.latest_s, own.state = later_s, SEEN
         elif self._is_confirmed(direction, later_s):
-            share = FOLLOWED if abs(later_s - latest_s) <= JUMP_S else 1.0
-            self.values[own : own + SIZE] = latest_s + share * (later_s - latest_s), 0.0, SEEN
+            moved_s = later_s - own.latest_s
+            own.latest_s += FOLLOWED * moved_s if abs(moved_s) <= JUMP_S else moved_s
+            own.jumped_s, own.state = 0.0, SEEN
         else:
-            self.values[own + 1 : own + SIZE] = later_s, DOUBTED
-            if self.values[other + 2] == SEEN:
-                self.values[other + 2] = DOUBTED
-        if abs(later_s) <= JUMP_S and self.values[COUNT] < SETTLED:
+            own.jumped_s, own.state = later_s, DOUBTED
+            self.doubt(1 - direction)
+        if abs(later_s) <= JUMP_S and self.count < SETTLED:
             self._settle(later_s)
+
+    def doubt(self, *directions: int) -> None:
+        """Need another onset: after power-on, or a push that hid its own."""
+        for direction in directions:
+            if self.directions[direction].state == SEEN:
+                self.directions[direction].state = DOUBTED
 
     def _settle(self, later_s: float) -> None:
         """Move the origin to the mean of the first onsets."""
-        self.values[COUNT] += 1.0
-        moved_s = later_s / self.values[COUNT]
-        self.values[ORIGIN] += moved_s
-        for at in (FIRST, FIRST + SIZE):
-            self.values[at] -= moved_s
-
-    def _of(self, direction: int) -> list[float]:
-        """Return of a direction: latest onset, the one that jumped, state."""
-        at = FIRST + SIZE * direction
-        return self.values[at : at + SIZE]
+        self.count += 1.0
+        moved_s = later_s / self.count
+        self.origin_s += moved_s
+        for each in self.directions:
+            each.latest_s -= moved_s
 
     def _is_confirmed(self, direction: int, later_s: float) -> bool:
         """Return whether an onset is near the latest, the one that jumped, or the other direction's."""
-        latest_s, jumped_s, _ = self._of(direction)
-        others_s, _, other_state = self._of(1 - direction)
-        if abs(later_s - latest_s) <= JUMP_S:
+        own, other = self.directions[direction], self.directions[1 - direction]
+        if abs(later_s - own.latest_s) <= JUMP_S:
             return True
-        if jumped_s != 0.0 and abs(later_s - jumped_s) <= SAME_S:
+        if own.jumped_s != 0.0 and abs(later_s - own.jumped_s) <= SAME_S:
             return True
-        return other_state == SEEN and abs(later_s - others_s) <= SAME_S
+        return other.state == SEEN and abs(later_s - other.latest_s) <= SAME_S

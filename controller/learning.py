@@ -159,7 +159,7 @@ class Correction(abc.ABC):
     def load(self, memory: bytes) -> None:
         """Take a memory of this version and method; any other leaves the defaults."""
         own = len(self.fresh)
-        count = own + len(Clocks.fresh)
+        count = own + len(Clocks.LARGEST)
         size = HEADER.size + 4 * count
         if len(memory) != size + CHECKSUM.size:
             return
@@ -174,11 +174,12 @@ class Correction(abc.ABC):
             return
         pairs = zip(values[:own], self.largest, strict=True)
         are_valid = all(isfinite(value) and abs(value) <= most for value, most in pairs)
-        if not (are_valid and 0.0 <= surprise <= OUTLYING and Clocks.is_valid(values[own:])):
+        clocks = Clocks.of(values[own:])
+        if clocks is None or not (are_valid and 0.0 <= surprise <= OUTLYING):
             return
         self.shifts, self.plain, self.outliers = shifts, plain, outliers
         self.surprise = surprise
-        self.values, self.clocks.values = list(values[:own]), list(values[own:])
+        self.values, self.clocks = list(values[:own]), clocks
 
 
 def _diagonal(*sd: float) -> list[float]:

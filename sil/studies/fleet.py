@@ -171,7 +171,8 @@ class Drawn:
     """One shift as drawn: settings of the scenario, and the impulses in N s.
 
     known: settings by which a strategy that learns is given what the truck knows besides the frames:
-    its supply, its gear pairs, that its speeds agreed in the last gear, and how long ago the neutral chamber was filled. expected_n_s: follows from the
+    its supply, its gear pairs, how long ago the neutral chamber was filled, and that its speeds agreed
+    in the last gear, which it does not know after its valves were exchanged. expected_n_s: follows from the
     speeds with the nominal friction; impulse_n_s is what it takes.
     """
 
@@ -272,7 +273,7 @@ class Truck:
         drag_n_m = of["drag_n_m"] * math.exp((OIL_REF_K - self._oil_k) / of["drag_fold_k"])
         gain_m = self._cone_gain_m(k, gear) + (1 if upward else -1) * drag_n_m / BLOCK_FORCE_N
         direct, blow_s = rng.random(), rng.uniform(of["direct_low_s"], of["direct_high_s"])
-        return self._settings(
+        found = self._settings(
             k,
             gear,
             speed_rad_s if upward else -speed_rad_s,
@@ -284,6 +285,13 @@ class Truck:
                 "plant.mesh_force_n": self.mesh_n[gear] * self._factor("mesh_shift"),
             },
         )
+        if self._is_exchanged(k) and not self._is_exchanged(k - 1):
+            found.known[f"{OWN}.speeds_agreed"] = False  # the unit was off
+        return found
+
+    def _is_exchanged(self, k: int) -> bool:
+        """Return whether the valves were exchanged before shift `k`, counted from 0."""
+        return 0 < self._fleet.exchanged_at <= k + 1 and self._number % 2 == 1
 
     def _examined(self, k: int, impulse_n_s: float) -> Drawn:
         """Return a shift into the first gear that nominally needs an impulse, at 9 bar and 20 °C."""
@@ -307,9 +315,8 @@ class Truck:
         fixed: dict[str, float],
     ) -> Drawn:
         of, rng, nominal = self._of, self._rng, self._nominal
-        exchanged = 0 < self._fleet.exchanged_at <= k + 1 and self._number % 2 == 1
         rise_s = nominal["valve.D_rise"] * (1.0 + of["rise_per_k"] * (unit_k - T_REF_K))
-        rise_s += self.rise_s + exchanged * of["exchanged_rise_s"]
+        rise_s += self.rise_s + self._is_exchanged(k) * of["exchanged_rise_s"]
         fall_s = nominal["valve.D_fall"] * math.exp(-of["fall_per_k"] * (unit_k - T_REF_K))
         rise_s += of["valve_shift_s"] * rng.standard_normal()
         fall_s += self.fall_s + of["valve_shift_s"] * rng.standard_normal()

@@ -3,7 +3,8 @@
 python -m tests.bench._learned_safety FIRST LAST SHIFTS [KIND]
 
 Trucks FIRST to LAST of the shipped population (seed `SEED`), each with one kind of fault in turn, or
-all with `KIND`, "loose contact" of a driving valve among them; every second one gets other valves
+all with `KIND`, "loose contact" of a driving valve and "late valve", one that is late from a shift on
+without having been exchanged, among them; every second one gets other valves
 after a third of its shifts. A shift is beyond the limits if it is more than 0.05 m/s harder or 30 ms
 longer than the open loop under the same fault, or loses a gear that the open loop engages. Where the
 fault ends the open loop's push, which may stop it softly, the impact is compared with the harder of the
@@ -67,7 +68,7 @@ NOTICED_S = 0.02
 reports, but the truck and its unit were on before it."""
 KINDS = ("none", "update missed", "memory damaged", "thermometer", "speeds", "position", "valve",
          "frames lost", "supply late", "exchanged valve")  # fmt: skip
-LOOSE = "loose contact"
+LOOSE, LATE = "loose contact", "late valve"
 EXCHANGED = {"kind": "delayed", "delay_s": 0.003}
 THERMOMETER = (
     {"kind": "stuck", "value_k": 253.15},
@@ -102,8 +103,10 @@ def faulty(kind: str, drawn: list[Drawn], rng: np.random.Generator) -> Iterator[
             added["valve_fault"] = [{"kind": "intermittent", "valve": "BF"[begin % 2]}]
         elif kind == "supply late":
             known = known | {f"{OWN}.supply_pa": drawn[max(0, k - 5)].known[f"{OWN}.supply_pa"]}
-        elif kind == "exchanged valve" and k >= begin:
+        elif kind in ("exchanged valve", LATE) and k >= begin:
             added["valve_fault"] = [EXCHANGED | {"valve": valve["valve"]}]
+            if k == begin and kind != LATE:  # the unit was off meanwhile
+                known = known | {f"{OWN}.speeds_agreed": False}
         elif kind == "speeds" and hit:
             known = known | {f"{OWN}.speeds_agreed": start_s >= NOTICED_S}
             added["speed_fault"] = [{"kind": str(rng.choice(SPEEDS)), "start_s": start_s}]
@@ -223,8 +226,8 @@ def beyond(number: int, shifts: int, kind: str) -> Iterator[tuple[int, bool, str
 
 def main(first: int, last: int, shifts: int, only: str = "") -> None:
     """Print each shift beyond the limits, and after each truck the count of all until then."""
-    if only not in ("", LOOSE, *KINDS):
-        sys.exit(f"KIND: {only!r}; expected one of {', '.join((LOOSE, *KINDS))}")
+    if only not in ("", LOOSE, LATE, *KINDS):
+        sys.exit(f"KIND: {only!r}; expected one of {', '.join((LOOSE, LATE, *KINDS))}")
     run, acted, unconfirmed, bad = Counter[str](), 0, 0, Counter[str]()
     for number in range(first, last + 1):
         kind = only or KINDS[number % len(KINDS)]

@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 
 from can_dbc.messages import Chamber, Gear
-from controller.clocks import COUNT, FIRST, ORIGIN, SEEN, SETTLED, SIZE, VARIANCE
+from controller.clocks import DOUBTED, SEEN, SETTLED, Clocks, Onsets
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
 from controller.programmes import CAREFUL, LATE, STRONG, library
@@ -48,10 +48,8 @@ def practised(**parameters: Any) -> Learned:
         for at in (3, 7, 11):
             made.correction.values[at] *= 0.04
         made.correction.values[MESH] = made.correction.values[MESH + 2] = 0.02**2
-    clocks = made.correction.clocks.values
-    clocks[VARIANCE] *= 0.04
-    clocks[ORIGIN], clocks[COUNT] = ONSET_S, SETTLED
-    clocks[FIRST + 2] = clocks[FIRST + SIZE + 2] = SEEN
+    both = Onsets(state=SEEN), Onsets(state=SEEN)
+    made.correction.clocks = Clocks(0.0, 0.0006**2, 0.0, ONSET_S, SETTLED, both)
     return made
 
 
@@ -440,7 +438,7 @@ def test_with_doubtful_errors_reports_of_unknown_age_are_not_enough(
     surprise: float, acts: bool
 ) -> None:
     strategy = practised()
-    strategy.correction.clocks.values[VARIANCE] = 0.01**2
+    strategy.correction.clocks.variance = 0.01**2
     strategy.correction.surprise = surprise
     assert plain(push(strategy, 200.0)) != acts
     assert strategy._found is not None
@@ -475,9 +473,8 @@ def test_late_valves_take_a_later_programme_and_slower_ones_none(
 ) -> None:
     """If the valve of the other gear is late, too, neutral's is taken to be as late, else to be in time."""
     strategy = practised()
-    clocks = strategy.correction.clocks.values
-    for at in (FIRST, FIRST + SIZE) if is_block else (FIRST,):
-        clocks[at] = later_s
+    backward, forward = strategy.correction.clocks.directions
+    backward.latest_s, forward.latest_s = later_s, later_s if is_block else 0.0
     is_slow = later_s > 0.0045
     assert plain(push(strategy, 65.0, onset_s=ONSET_S + later_s)) == is_slow
     neutral_s = later_s if is_block or later_s < 0.0 else 0.0
@@ -516,13 +513,39 @@ def test_an_onset_that_jumps_makes_the_push_plain_and_the_next_one_confirms_it(
     assert not plain(given)
 
 
+def test_after_a_push_that_hid_its_onset_the_next_one_waits_for_it() -> None:
+    """A programme that begins before the stay moves would not see a valve that was exchanged."""
+    strategy = practised()
+    backward, forward = strategy.correction.clocks.directions
+    begins = []
+    for hides in (True, False, True):
+        given = push(strategy, 40.0)
+        begins.append(next(k for k, duties in enumerate(given) if duties.n > 0.0))
+        assert (strategy._motion.onset_s is None) == hides
+        assert (backward.state, forward.state) == (DOUBTED if hides else SEEN, SEEN)
+    first, waiting, last = begins
+    assert first == last < 4 < waiting
+
+
+def test_after_power_on_the_valves_may_be_others() -> None:
+    """The first push is plain, and a light one until the onset of its direction is known."""
+    strategy = practised(speeds_agreed=False)
+    backward, forward = strategy.correction.clocks.directions
+    assert plain(push(strategy, 22.0))
+    assert (backward.state, forward.state) == (SEEN, DOUBTED)
+    other = {"leg": Gear.FORWARD, "final": Gear.FORWARD, "charged": Chamber.F, "agreed": True}
+    assert all(duties.n == 0.0 for duties in push(strategy, 22.0, **other))
+    assert any(duties.n > 0.0 for duties in push(strategy, 22.0, **other))
+    assert not plain(push(strategy, 22.0, agreed=True))
+
+
 def test_samples_that_tell_another_release_than_the_speeds_teach_nothing() -> None:
     strategy = practised()
     push(strategy, 140.0)
     assert strategy.correction.plain == 0
     strategy = practised()
     friction = list(strategy.correction.values)
-    strategy.correction.clocks.values[0] = -0.015  # of the speeds, ever since
+    strategy.correction.clocks.age_s = -0.015  # of the speeds, ever since
     push(strategy, 140.0)
     assert strategy.correction.values == friction
     assert strategy.correction.plain == 2
@@ -532,7 +555,7 @@ def test_the_release_is_learned_from_samples_alone() -> None:
     """To a half of a millisecond, in plain pushes and by programmes, whatever the age of the speeds."""
     for impulse_n_s in (25.0, 45.0, 70.0, 140.0):
         for strategy in (practised(), practised(speeds_agreed=False)):
-            strategy.correction.clocks.values[VARIANCE] = 0.003**2
+            strategy.correction.clocks.variance = 0.003**2
             strategy.parameters = structs.replace(strategy.parameters, speeds_age_s=0.004)
             before = strategy.correction.values[0]
             push(strategy, impulse_n_s)

@@ -94,7 +94,7 @@ def test_a_right_checksum_is_not_enough(
     name: str, magic: bytes, version: int, number: int, value: float, surprise: float
 ) -> None:
     method = METHODS[name]()
-    values = [value] + [0.0] * (len(method.fresh) + len(Clocks.fresh) - 1)
+    values = [value] + [0.0] * (len(method.fresh) + len(Clocks.LARGEST) - 1)
     body = HEADER.pack(magic, version, number or method.number, 7, 0, 0, 0, surprise)
     body += struct.pack(f"<{len(values)}f", *values)
     method.load(body + struct.pack("<I", zlib.crc32(body)))

@@ -83,8 +83,13 @@ def test_the_closing_of_a_valve_scales_with_its_delay_or_is_constant() -> None:
     assert shifts[0].known["controller.strategy_parameters.closing_follows_current"] is False
 
 
-def test_exchanged_valves_open_later_in_every_second_truck() -> None:
+def test_exchanged_valves_open_later_in_every_second_truck_whose_unit_was_off_meanwhile() -> None:
     for number, later_s in ((1, 0.003), (2, 0.0)):
+        shifts, _exam = Truck(
+            TABLE, POPULATION.factor, FleetTable(shifts=6, exchanged_at=4), number, NOMINAL
+        ).shifts()
+        agreed = [each.known["controller.strategy_parameters.speeds_agreed"] for each in shifts]
+        assert agreed == [True] * 3 + [number == 2] + [True] * 2
         with_s, without_s = (
             [
                 each.settings["valve.D_rise"]
