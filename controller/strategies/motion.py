@@ -23,7 +23,7 @@ BLOCK_M, NEAR_M, CLEAR_M, FAR_M = 0.005995, 0.00012, 0.00025, 0.0018
 far from the block one is that has left it; from which way beyond it on the teeth may hold the stay."""
 MOVED_M = BLOCK_M + NEAR_M
 START_S = 0.0275
-"""From the onset of the stay, by a valve of nominal delay, to the command."""
+"""From a command to the onset that it leads to, by a valve of nominal delay."""
 LEFT_S = {
     (True, False): (0.0, -0.000051, 0.002721, 0.001291),
     (True, True): (-0.006061, 0.005837, 0.004406, -0.000865),
