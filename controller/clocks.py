@@ -75,7 +75,9 @@ class Clocks:
         pairs = zip(values, cls.LARGEST, strict=True)
         if not all(isfinite(each) and abs(each) <= most for each, most in pairs):
             return None
-        return cls(*values[:5], (Onsets(*values[5:8]), Onsets(*values[8:])))
+        age_s, variance, refused, origin_s, count = values[:5]
+        both = Onsets(*values[5:8]), Onsets(*values[8:])
+        return cls(age_s, variance, refused, origin_s, count, both)
 
     def aged(self, later_s: float) -> bool:
         """Take by how much later the speeds told a release than the position did. Return whether it fits."""
