@@ -168,6 +168,7 @@ def test_it_fills_neutral_by_the_programme_and_goes_on_pushing(impulse_n_s: floa
     closes_s = [1e-9 * at_ns for at_ns, position in valve.moves(10**9) if position == 0.0]
     assert closes_s == pytest.approx([each.end_s for each in programme.fillings], abs=0.001)
     assert strategy.correction.shifts == 1
+    assert not strategy.is_committed, "the last filling has ended"
 
 
 def test_valves_with_a_constant_closing_delay_have_no_programmes() -> None:
@@ -446,8 +447,9 @@ def test_with_doubtful_errors_reports_of_unknown_age_are_not_enough(
 
 def test_a_push_that_ends_before_the_release_teaches_nothing() -> None:
     strategy = practised()
-    push(strategy, 140.0, until_ms=120)
-    assert strategy.correction.values == practised().correction.values
+    for until_ms in (60, 120):
+        push(strategy, 140.0, until_ms=until_ms)
+        assert strategy.correction.values == practised().correction.values
 
 
 def test_temperature_moves_the_last_duty_of_a_filling() -> None:
@@ -525,6 +527,18 @@ def test_after_a_push_that_hid_its_onset_the_next_one_waits_for_it() -> None:
         assert (backward.state, forward.state) == (DOUBTED if hides else SEEN, SEEN)
     first, waiting, last = begins
     assert first == last < 4 < waiting
+
+
+def test_a_new_unit_that_has_seen_no_onset_yet_cannot_place_a_release() -> None:
+    """As after a blow on neutral, whose air delays the onset."""
+    strategy = learned(rest_s=0.21)
+    push(strategy, 140.0)
+    assert strategy._motion.left is not None and strategy._motion.onset_s is None
+    assert strategy.correction.values == learned().correction.values
+    strategy = practised(rest_s=0.21)
+    push(strategy, 140.0, friction=1.02)
+    assert strategy._motion.onset_s is None
+    assert strategy.correction.values != practised().correction.values
 
 
 def test_after_power_on_the_valves_may_be_others() -> None:

@@ -81,6 +81,10 @@ def test_the_release_is_found_in_the_first_sample_beyond_the_block() -> None:
     assert taken(*at_block, 6.2, 6.25).left is None, "it gives way a little"
     assert taken(*at_block, 7.0, falls_at=9).left is None, "the speeds have not begun to fall"
     assert taken(*at_block).released_s(0.09, True) is None
+    early = taken(*at_block, 7.0, falls_at=4)
+    assert early.left == pytest.approx((0.07, MM * 0.95)), (
+        "they fell before the stay was at the block"
+    )
 
 
 def test_the_farther_from_the_block_the_longer_ago_and_the_faster_the_later() -> None:
