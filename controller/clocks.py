@@ -49,7 +49,7 @@ class Clocks:
     age_s: how much older than assumed the speeds are in the step that has them first; variance: of that, in
     s2; refused: how many ages in a row. An onset tells by how much a driving valve opens later than it
     did at first: it is measured against the commands by samples of the position, whose age is constant
-    in a unit. How late the first ones were cannot be told from that age: they are taken to be nominal, and
+    in a unit. How late the first ones were cannot be separated from that age: they are taken to be nominal, and
     origin_s is the mean of the first ones, count.
     """
 
@@ -80,7 +80,7 @@ class Clocks:
         return cls(age_s, variance, refused, origin_s, count, both)
 
     def aged(self, later_s: float) -> bool:
-        """Take by how much later the speeds told a release than the position did. Return whether it fits."""
+        """Take by how much later the speeds showed a release than the position did. Return whether it fits."""
         total = self.variance + SPEEDS_S * SPEEDS_S
         if later_s * later_s > UNLIKELY * UNLIKELY * total:
             self.refused += 1.0

@@ -109,7 +109,6 @@ class Push(NamedTuple):
     settings: Mapping[str, Any]
     truck: int
     kind: str
-    impulse_n_s: float
 
 
 def pushes(first: int, last: int, shifts: int) -> Iterator[Push]:
@@ -133,7 +132,7 @@ def pushes(first: int, last: int, shifts: int) -> Iterator[Push]:
                 if drawn.known.get(f"{OWN}.rest_s", 60.0) < RESTED_S:
                     continue
                 run = sampled(drawn.settings, OpenLoop)
-                yield from push(run, drawn.settings, number, "plain", drawn.impulse_n_s)
+                yield from push(run, drawn.settings, number, "plain")
                 share = rng.uniform(*LIGHT_N_S) / drawn.impulse_n_s
                 light = drawn.settings | {
                     "driveline.residual_rad_s": float(
@@ -142,7 +141,7 @@ def pushes(first: int, last: int, shifts: int) -> Iterator[Push]:
                     "plant.mesh_force_n": float(TABLES_MESH_N * rng.uniform(0.88, 1.15)),
                 }
                 run = sampled(light, OpenLoop)
-                yield from push(run, light, number, "light", share * drawn.impulse_n_s)
+                yield from push(run, light, number, "light")
                 run = sampled(
                     drawn.settings | drawn.known | {"controller.strategy": "learned"},
                     Learned,
@@ -150,7 +149,7 @@ def pushes(first: int, last: int, shifts: int) -> Iterator[Push]:
                 )
                 memory = run[0].memory
                 if is_begun[0]:
-                    yield from push(run, drawn.settings, number, "programme", drawn.impulse_n_s)
+                    yield from push(run, drawn.settings, number, "programme")
     finally:
         setattr(Learned, "ended", ended)  # noqa: B010
 
@@ -160,7 +159,6 @@ def push(
     settings: Mapping[str, Any],
     truck: int,
     kind: str,
-    impulse_n_s: float,
 ) -> Iterator[Push]:
     """Yield what was measured of a push, if it was released once."""
     run, found, began_s = sampled
@@ -171,7 +169,7 @@ def push(
     for time_s, at_m in found:
         is_falling = time_s > released[0] - 2.0 * PERIOD_S
         motion.position([Sample(at_m, at_m, 0.0)], time_s, is_falling)
-    yield Push(motion, released[0], settings, truck, kind, impulse_n_s)
+    yield Push(motion, released[0], settings, truck, kind)
 
 
 def base_s(found: Sequence[Push]) -> dict[int, float]:

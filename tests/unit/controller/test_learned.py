@@ -11,6 +11,7 @@ from msgspec import structs
 from can_dbc.messages import Chamber, Gear
 from controller.clocks import DOUBTED, SEEN, SETTLED, Clocks, Onsets
 from controller.config import FirmwareConfig, create_strategy
+from controller.learning import Sensitivities
 from controller.position import Estimate, Sample
 from controller.programmes import CAREFUL, LATE, STRONG, library
 from controller.strategies import Duties, ShiftContext, one_chamber
@@ -527,6 +528,23 @@ def test_after_a_push_that_hid_its_onset_the_next_one_waits_for_it() -> None:
         assert (backward.state, forward.state) == (DOUBTED if hides else SEEN, SEEN)
     first, waiting, last = begins
     assert first == last < 4 < waiting
+
+
+def test_a_release_after_a_hidden_onset_counts_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    counted: list[float] = []
+    plain_learn = Sensitivities.learn
+
+    def noting(self: Sensitivities, *arguments: Any) -> None:
+        counted.append(arguments[3])
+        plain_learn(self, *arguments)
+
+    monkeypatch.setattr(Sensitivities, "learn", noting)
+    strategy = practised()
+    for hides in (True, False):
+        push(strategy, 40.0)
+        assert (strategy._motion.onset_s is None) == hides
+    hidden, seen = counted
+    assert hidden == pytest.approx(seen + 0.0012**2, abs=0.0006**2)
 
 
 def test_a_new_unit_that_has_seen_no_onset_yet_cannot_place_a_release() -> None:
