@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +25,7 @@ def generated() -> dict[str, str]:
         "reference/can.md": ("CAN contract", messages()),
         "reference/keys.md": ("Keys of scenarios and studies", keys()),
         "reference/firmware.md": ("Firmware states", states()),
+        "reference/python.md": ("Python", python_api()),
     }
     pages = {
         name: "\n".join([f"# {title}", "", *lines]).rstrip() + "\n"
@@ -250,6 +253,104 @@ def spelled(action: argparse.Action) -> str:
         return value
     takes_none = action.nargs == 0
     return ", ".join(action.option_strings) + ("" if takes_none else f" {value}")
+
+
+PYTHON_API = {
+    "Functions": ("sil.api:run", "sil.api:simulate", "sil.api:whatif", "sil.api:diagnose", "sil.api:replay"),
+    "What they return and raise": (
+        "sil.simulation.in_memory:Run",
+        "sil.simulation.metrics:Shift",
+        "sil.simulation.results:Check",
+        "sil.campaign.simulate:SimulatedStroke",
+        "sil.api:Sweep",
+        "sil.diagnosis.diagnosis:Diagnosis",
+        "sil.log_replay.replay:ReplayResult",
+        "can_dbc.errors:InputError",
+        "can_dbc.errors:RunError",
+    ),
+    "Firmware": (
+        "controller.firmware:Inputs",
+        "controller.firmware:Outputs",
+        "controller.position:Calibration",
+    ),
+    "Plant": (
+        "plant.parameters:load",
+        "plant.parameters:ParameterSet",
+        "plant.effects.stroke_conditions:StrokeConditions",
+        "plant.systems.stroke:simulate",
+        "plant.systems.stroke:Stroke",
+        "plant.systems.length_stroke:LengthStroke",
+    ),
+}
+EXAMPLES = {
+    "run": 'run("lab_n_b", {"controller.filter": False}).shifts[0].impact_speed_m_s',
+    "simulate": 'simulate("plan", {"valve.D_rise": 0.013})[0].states',
+    "whatif": 'whatif("sensor_delay", out="sensor_delay", workers=2).numbers["impact_speed_m_s"]',
+    "diagnose": 'diagnose("measured").as_json()["verdict"]',
+    "replay": 'replay("first/bus.log", {"controller.filter": False}).same',
+}
+
+
+def python_api() -> Iterator[str]:
+    """Yield the lines of the page of the Python interface: signatures and docstrings."""
+    yield "`from sil import run, simulate, whatif, diagnose, replay`: each function does what the command of its name does, and"
+    yield "returns typed values and numpy arrays. Nothing is written unless a folder is given."
+    for title, names in PYTHON_API.items():
+        yield from ("", f"## {title}", "")
+        if title == "Firmware":
+            yield from ("Settings of the firmware: [keys](keys.md), table `controller`.", "")
+        for module, _, name in (item.partition(":") for item in names):
+            yield from described(getattr(importlib.import_module(module), name), f"{module}.{name}")
+
+
+def described(item: Any, path: str) -> Iterator[str]:
+    """Yield heading, signature or fields, docstring and example of a function or class."""
+    yield from (f"### `{path}`", "")
+    if inspect.isfunction(item):
+        yield from ("```python", signature(item), "```", "")
+    yield from (*docstring(item), "")
+    if example := EXAMPLES.get(item.__name__):
+        yield from ("```python", example, "```", "")
+    if not inspect.isfunction(item):
+        for name, annotation in inspect.get_annotations(item).items():
+            if not name.startswith("_"):
+                yield f"- `{name}: {getattr(annotation, '__forward_arg__', annotation)}`"
+        for name, member in vars(item).items():
+            function = getattr(member, "fget", getattr(member, "__func__", member))
+            if not name.startswith("_") and inspect.isfunction(function) and function.__doc__:
+                arguments = "" if isinstance(member, property) else signature(function, name="")
+                summary = " ".join((inspect.getdoc(function) or "").split("\n\n")[0].split())
+                yield f"- `{name}{arguments}`: {summary}"
+        yield ""
+
+
+def signature(function: Any, name: str | None = None) -> str:
+    """Return a function's signature as it is written, one argument a line if it is long."""
+    text = re.sub(r"(: |-> )'([^']*)'", r"\1\2", str(inspect.signature(function)))
+    name = function.__name__ if name is None else name
+    if len(text) < 90 or not name:
+        return f"{name}{text}"
+    arguments, _, result = text.removeprefix("(").rpartition(") ->")
+    lines = re.sub(r", (?![^\[]*\])", ",\n    ", arguments)  # commas outside brackets
+    return f"{name}(\n    {lines},\n) ->{result}"
+
+
+def docstring(item: Any) -> Iterator[str]:
+    """Yield a docstring as Markdown: numpydoc sections become lists."""
+    lines = [line for line in (inspect.getdoc(item) or "").splitlines() if not line.startswith("Checked by")]
+    name = ""
+    for line, following in zip(lines, [*lines[1:], ""], strict=True):
+        if following and set(following) == {"-"}:
+            yield from (f"**{line}**", "")
+        elif line and set(line) == {"-"}:
+            continue
+        elif line.startswith("    "):
+            yield f"{name}: {line.strip()}" if name else f"  {line.strip()}"
+            name = ""
+        elif following.startswith("    "):
+            name = f"- `{line}`"
+        else:
+            yield line
 
 
 def messages() -> Iterator[str]:
