@@ -179,9 +179,8 @@ class Receiver(Generic[M]):
     """The receiving end of one channel: checks each frame and says whether to trust the channel.
 
     `message` is the message of the latest frame with status OK or OK_SOME_LOST, `message_ns` its
-    arrival and `message_number` its place among the frames that were sent, by the counter; use them only
-    while `state(now_ns)` is VALID: then they are there and not older than the timeout. `counts` counts
-    each status, `reason` says what was wrong with the latest frame of status ERROR.
+    arrival; use them only while `state(now_ns)` is VALID: then they are there and not older than the
+    timeout. `counts` counts each status, `reason` says what was wrong with the latest frame of status ERROR.
     Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
     """
 
@@ -193,7 +192,6 @@ class Receiver(Generic[M]):
         self.status = E2eStatus.NO_NEW_DATA
         self.message: M | None = None
         self.message_ns = -1
-        self.message_number = 0
         self.counts: Counter[E2eStatus] = Counter()
         self.reason = ""
         _data_ids(message_type)  # refuses a message without protection
@@ -201,7 +199,7 @@ class Receiver(Generic[M]):
         self._window: deque[E2eStatus] = deque(maxlen=self.config.window_size)
         self._alive_ns = self._now_ns = start_ns
         self._waiting_for_first = True
-        self._last_counter = self._number = 0
+        self._last_counter = 0
         self._max_delta = 0
         self._no_new_or_repeated = 0
         self._sync = 0
@@ -247,7 +245,6 @@ class Receiver(Generic[M]):
         if status in ACCEPTED:
             self.message = message
             self.message_ns = now_ns
-            self.message_number = self._number
         return status
 
     def _check_counter(self, counter: int) -> E2eStatus:
@@ -277,7 +274,6 @@ class Receiver(Generic[M]):
         return E2eStatus.OK if delta == 1 else E2eStatus.OK_SOME_LOST
 
     def _accept(self, counter: int) -> None:
-        self._number += (counter - self._last_counter) % COUNTERS
         self._last_counter = counter
         self._max_delta = self.config.max_delta_counter_init
 

@@ -27,11 +27,6 @@ class FirmwareConfig(ControlConfig, frozen=True):
         super().__post_init__()
         strategies.parameters(self.strategy, self.strategy_parameters)
 
-    @property
-    def learns(self) -> bool:
-        """Whether the strategy has a memory that survives power-off."""
-        return strategies.strategy_class(self.strategy).has_memory
-
 
 def create_strategy(config: FirmwareConfig) -> strategies.Strategy:
     """Return a new instance of the strategy that the settings name."""

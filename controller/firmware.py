@@ -24,7 +24,6 @@ from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, GearWindows, PositionEstimator
 from controller.settings import nanoseconds
 from controller.shift import Event, Observation, ShiftMachine
-from controller.speeds import ReportTimes, SpeedsWatch
 from controller.strategies import OFF, Duties, ShiftContext, one_chamber
 
 BROADCAST_NS = 10_000_000
@@ -54,10 +53,7 @@ _status = lru_cache(ControllerStatus)
 
 
 class Inputs(NamedTuple):
-    """Messages since the last step: all new pulses, and the latest good one of the others.
-
-    speeds_number: of their report among those that were sent, None if it is not known.
-    """
+    """Messages since the last step: all new pulses, and the latest good one of the others."""
 
     pulses: tuple[PositionPulse, ...] = ()
     request: ShiftRequest | None = None
@@ -65,7 +61,6 @@ class Inputs(NamedTuple):
     position_state: E2eState = E2eState.INIT
     request_state: E2eState = E2eState.INIT
     speeds_state: E2eState = E2eState.INIT
-    speeds_number: int | None = None
 
 
 class Outputs(NamedTuple):
@@ -87,15 +82,11 @@ class Firmware:
     that gear's window.
     """
 
-    def __init__(self, config: FirmwareConfig, memory: bytes = b"") -> None:
-        """Power on with the `memory` that the unit had at power-off, empty for none."""
+    def __init__(self, config: FirmwareConfig) -> None:
         self.config = config
         self._estimator = PositionEstimator(config)
         self._windows = GearWindows(config.windows)
         self._strategy = create_strategy(config)
-        self._strategy.recall(memory)
-        self._healthy = self._pushed = False  # of the push under way
-        self._coil_k: float | None = None
         self._machine = ShiftMachine(config, self._strategy.blow_s)
         self._startup_ns = nanoseconds(config.e2e.startup_s)
         self._apart_ns = nanoseconds(config.shift.interlock_s) + config.period_ns
@@ -117,17 +108,9 @@ class Firmware:
         self._valid_before = dict.fromkeys(("position", "request", "speeds"), False)
         self._position_timeout_ns = nanoseconds(config.e2e.position_timeout_s)
         self._sampled_ns = 0
-        self._passive = Chamber.NONE
         self._speeds: DrivelineSpeeds | None = None
         self._speeds_ns = 0
-        self._report_times = ReportTimes()
-        self._watch = SpeedsWatch(config.shift.sync_tolerance_rad_s)
         self._duties = OFF  # of the latest step
-
-    @property
-    def memory(self) -> bytes:
-        """What survives power-off, up to date after every shift; empty unless the strategy learns."""
-        return self._strategy.memory
 
     def step(self, now_ns: int, inputs: Inputs) -> Outputs:
         """Take the inputs of one period and return the messages to send.
@@ -149,11 +132,7 @@ class Firmware:
         speeds = inputs.speeds if inputs.speeds_state is E2eState.VALID else None
         self._run_machine(now_ns, estimate, requested, speeds)
         if speeds is not self._speeds:
-            self._speeds = speeds
-            number = None if speeds is None else inputs.speeds_number
-            self._speeds_ns = self._report_times.at_ns(now_ns, number)
-            at_rest = not self._machine.driving or self._machine.event is Event.LEG_STARTED
-            self._watch.update(now_ns, speeds, self._windows.gear if at_rest else Gear.UNKNOWN)
+            self._speeds, self._speeds_ns = speeds, now_ns
         duties = self._drive(now_ns, estimate)
 
         machine = self._machine
@@ -168,18 +147,7 @@ class Firmware:
         if self._latched:
             live |= self._latched
         self._duties = duties
-        self._learn(now_ns, estimate, not live)
         return self._report(now_ns, estimate, duties, live, speeds)
-
-    def _learn(self, now_ns: int, estimate: Estimate, healthy: bool) -> None:
-        """Notify the strategy of the end of a push."""
-        machine = self._machine
-        if machine.driving:
-            self._healthy = healthy and (self._healthy or not self._pushed)
-        elif self._pushed:
-            done = machine.event is Event.CONFIRMED or machine.event is Event.SHIFT_DONE
-            self._strategy.ended(now_ns, estimate, done, healthy and self._healthy)
-        self._pushed = machine.driving
 
     def _lost(self, channel: str, state: E2eState, waking: bool) -> bool:
         """Whether a channel is lost: no longer valid, or never valid when it should be by now."""
@@ -193,8 +161,6 @@ class Firmware:
 
         A channel that is valid but brings no usable sample for its timeout is lost as well.
         """
-        if inputs.pulses:
-            self._coil_k = inputs.pulses[-1].coil_temperature_k
         lost = self._lost("position", inputs.position_state, waking)
         valid = inputs.position_state is E2eState.VALID
         if not valid:
@@ -247,15 +213,10 @@ class Firmware:
             clear_b=self._clear(now_ns, Chamber.F),
             clear_f=self._clear(now_ns, Chamber.B),
             recoverable=not (self._latched and self._latched & Fault.INTERNAL),
-            committed=self._strategy.is_committed,
         )
         machine.step(now_ns, observed)
         if machine.event is Event.LEG_STARTED:
             self._estimator.mark()
-            if machine.leg is not Gear.NEUTRAL:
-                self._passive = Chamber.N
-            else:
-                self._passive = Chamber.B if estimate.position_m > 0.0 else Chamber.F
         if machine.event is Event.LEG_STARTED or machine.event is Event.PAUSE_OVER:
             self._strategy.reset()
 
@@ -269,21 +230,14 @@ class Firmware:
         machine = self._machine
         duties = OFF
         if machine.driving:
-            b_ns, n_ns, f_ns = self._energised_ns
             speeds = self._speeds
             shift = ShiftContext(
                 leg=machine.leg,
-                final=machine.final,
                 charged=CHAMBER_OF[machine.leg],
-                passive=self._passive,
                 start_ns=machine.attempt_ns,
                 attempt=machine.attempt,
-                energised_ns=(b_ns, n_ns, f_ns),
                 apart_rad_s=None if speeds is None else speeds.input_rad_s - speeds.output_rad_s,
                 apart_ns=self._speeds_ns,
-                coil_k=self._coil_k,
-                steady=self._watch.steady,
-                agreed=self._watch.agreed,
             )
             duties = self._strategy.command(now_ns, estimate, shift)
             if not self._allowed(now_ns, duties):

@@ -103,7 +103,6 @@ class ControllerNode:
             pulses=tuple(self._new_pulses),
             request=self.requests.message,
             speeds=self.speeds.message,
-            speeds_number=self.speeds.message_number,
             position_state=self.pulses.state(now_ns),
             request_state=self.requests.state(now_ns),
             speeds_state=self.speeds.state(now_ns),

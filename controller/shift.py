@@ -73,8 +73,7 @@ class Observation(NamedTuple):
     row; `moved` says whether the stay has moved since this leg began. `requested` is the driver's
     request, None without a valid one. `synchronized` is None without valid speeds. `clear_b` and
     `clear_f` say that the chamber *opposite* to backward and forward has been off long enough.
-    `recoverable` says that the fault state may be left, `committed` that the strategy is in the middle
-    of something that is better carried out than given up.
+    `recoverable` says that the fault state may be left.
     """
 
     position_valid: bool
@@ -86,7 +85,6 @@ class Observation(NamedTuple):
     clear_b: bool
     clear_f: bool
     recoverable: bool
-    committed: bool = False
 
 
 class ShiftMachine:
@@ -100,8 +98,7 @@ class ShiftMachine:
     A request that changes during a shift: on the way to neutral only what follows changes; a push
     into, or a blow on, a gear is given up and neutral pushed; in HOLD and VENT the new shift starts
     at once. A request that is lost: the leg under way is finished, none follows.
-    A lost position ends a shift in FAULT, during a push once the strategy is not committed, at the
-    latest at the push's timeout; so does a push that fails. FAULT is left by a request
+    A lost position ends a shift in FAULT; so does a push that fails. FAULT is left by a request
     that differs from the failed one, once the faults are gone.
     """
 
@@ -160,9 +157,7 @@ class ShiftMachine:
         self.event = None
         self.raised = Fault.NONE
         if not observed.position_valid:
-            is_in_time = now_ns - self.attempt_ns < self._push_timeout_ns
-            if not (self.driving and observed.committed and is_in_time):
-                self._lose_position()
+            self._lose_position()
             return
         if self.confirmed != observed.gear:
             self.confirmed = Gear.UNKNOWN

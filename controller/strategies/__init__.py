@@ -24,7 +24,6 @@ NAMES: Mapping[str, str] = {
     "sliding_mode": "controller.strategies.sliding_mode:SlidingMode",
     "bang_bang": "controller.strategies.bang_bang:BangBang",
     "predictive": "controller.strategies.predictive:Predictive",
-    "learned": "controller.strategies.learned:Learned",
 }
 """Name of each strategy and where its class is; loaded when first used."""
 
@@ -44,28 +43,17 @@ OFF = Duties(0.0, 0.0, 0.0)
 class ShiftContext(NamedTuple):
     """The push that a strategy carries out.
 
-    `charged` is the chamber that drives the stay to `leg`, `passive` the one it compresses.
-    `start_ns` is the start of this push, `attempt` counts the earlier ones of the same leg.
-    `energised_ns` is, in the order B, N, F, the last step whose output opened each valve (None before
-    the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
-    is input minus output speed as last reported, None without a valid report, and `apart_ns` the
-    step that received it first, or should have (`ReportTimes`). `coil_k` is the temperature of the
-    sensor's coil as last reported. `steady`: the speeds have not jumped,
-    `agreed`: they agreed in the last gear since power-on (`SpeedsWatch`).
+    `charged` is the chamber that drives the stay to `leg`. `start_ns` is the start of this push,
+    `attempt` counts the earlier ones of the same leg. `apart_rad_s` is input minus output speed as
+    last reported, None without a valid report, and `apart_ns` the step that received it first.
     """
 
     leg: Gear
-    final: Gear
     charged: Chamber
-    passive: Chamber
     start_ns: int
     attempt: int
-    energised_ns: tuple[int | None, int | None, int | None]
     apart_rad_s: float | None = None
     apart_ns: int = 0
-    coil_k: float | None = None
-    steady: bool = True
-    agreed: bool = False
 
 
 def one_chamber(chamber: Chamber, duty: float) -> Duties:
@@ -89,7 +77,6 @@ class Strategy(abc.ABC):
         """Settings of the strategy, from `strategy_parameters`."""
 
     name: ClassVar[str]
-    has_memory: ClassVar[bool] = False
 
     def __init__(self, config: ControlConfig, parameters: Struct) -> None:
         self.config = config
@@ -102,27 +89,6 @@ class Strategy(abc.ABC):
     @abc.abstractmethod
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
         """Return the duties for the coming period; called once per step of a push."""
-
-    @property
-    def is_committed(self) -> bool:
-        """Whether a push is better carried out than given up if the position is lost now."""
-        return False
-
-    def recall(self, memory: bytes) -> None:  # noqa: B027 - most strategies do not learn
-        """Take the memory of an earlier power-on; one that cannot be read means the defaults."""
-
-    @property
-    def memory(self) -> bytes:
-        """What is to survive power-off; empty without `has_memory`."""
-        return b""
-
-    def ended(  # noqa: B027 - most strategies do not learn
-        self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool
-    ) -> None:
-        """Learn from the push that ended in this step.
-
-        `confirmed`: its gear was reached. `healthy`: no fault since it began.
-        """
 
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
         """Return how long the safety blow lasts after `leg` is confirmed, at most as configured.

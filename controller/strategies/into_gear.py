@@ -12,14 +12,10 @@ from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
 
 
 class Command(NamedTuple):
-    """Whether to fill the charged chamber, and the neutral one that brakes.
-
-    held: duty at which the neutral valve is held open, None for the usual one.
-    """
+    """Whether to fill the charged chamber, and the neutral one that brakes."""
 
     charge: bool
     brake: bool
-    held: float | None = None
 
 
 class Progress(NamedTuple):
@@ -27,7 +23,7 @@ class Progress(NamedTuple):
 
     spent_s: since the push began. new_samples: of the sensor, since the last step. apart_rad_s:
     distance of the shafts' speeds as last reported, None without a valid report; apart_s: when the
-    step that received it first was or should have been, since the push began (negative: before).
+    step that received it first was, since the push began (negative: before).
     """
 
     spent_s: float
@@ -88,10 +84,9 @@ class IntoGear(Strategy):
             )
         )
         charged = self.config.duty if command.charge else 0.0
-        held = self.config.duty if command.held is None else command.held
         return Duties(
             charged if shift.charged is Chamber.B else 0.0,
-            held if command.brake else 0.0,
+            self.config.duty if command.brake else 0.0,
             charged if shift.charged is Chamber.F else 0.0,
         )
 

@@ -40,7 +40,7 @@ ARGUMENTS = (
     ),
     argument(
         "--out",
-        "where the plant records, and a controller that learns its memory [.]",
+        "where the plant records [.]",
         "DIR",
         type=Path,
         default=Path(),

@@ -34,10 +34,9 @@ class Opc4Controller(Fmi3Slave):
         from controller.firmware import Firmware
         from sil.fmu.slave import declare, prepare
         from sil.simulation.build import gear_of
-        from sil.simulation.unit_memory import content
 
         scenario = prepare(self).scenario
-        self.firmware = Firmware(scenario.controller, content(scenario.memory))
+        self.firmware = Firmware(scenario.controller)
         self.period_ns = scenario.controller.period_ns
         self.default_experiment = DefaultExperiment(
             0.0, scenario.duration_s, scenario.controller.period_s

@@ -7,7 +7,6 @@ Checked by: tests/unit/sil/live/test_bench.py
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
 import json
@@ -18,7 +17,6 @@ from operator import getitem
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
-import numpy as np
 
 from can_dbc.codec import decode, message_type_of
 from can_dbc.errors import CodecError, InputError
@@ -29,8 +27,8 @@ from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.recording.trace_csv import held
-from sil.report.figure import MS, Figure
-from sil.report.live_figure import bound_figure, comparison_figure
+from sil.report.figure import MS
+from sil.report.live_figure import comparison_figure
 from sil.report.plots import content, rounded
 from sil.report.run_figure import run_figure
 from sil.simulation import load_scenario
@@ -38,7 +36,6 @@ from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded
 from sil.simulation.scenario_text import scenario_toml
-from sil.studies.bound_figures import SHIPPED as STORED_BOUNDS
 
 if TYPE_CHECKING:
     import can
@@ -150,29 +147,7 @@ def compare(before: Asked, after: Asked, known: Mapping[str, str]) -> dict[str, 
         **_again(after, *second),
         "metrics": _metrics([first[1].metrics, second[1].metrics]),
         "plots": content(figure.stacks[0]),
-        "bounds": content(_among_bounds(second[0], [first[1], second[1]]).stacks[0]),
     }
-
-
-def _among_bounds(made: Loaded, runs: Sequence[Run]) -> Figure:
-    """Return the runs in the figure of the bounds, for the stored hardware whose valves are nearest."""
-    valves = [made.parameters.value(f"valve.{name}") for name in ("D_rise", "D_fall")]
-    nearest = min(_bounds(), key=lambda stored: abs(np.log(np.divide(stored, valves))).sum())
-    name = f"valves {nearest[0] * MS:g}, {nearest[1] * MS:g} ms"
-    return bound_figure(runs, _bounds()[nearest], name)
-
-
-@functools.cache
-def _bounds() -> dict[tuple[float, float], list[dict[str, float]]]:
-    """Return the stored rows of the study `bounds` by opening and closing delay of the valves in s."""
-    found: dict[tuple[float, float], list[dict[str, float]]] = {}
-    with STORED_BOUNDS.open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            names = ("bound_m_s", "damper_m_s", "open_loop_m_s")
-            values = {"delay_s": float(row["bound.delay_s"])} | {n: float(row[n]) for n in names}
-            valves = (float(row["valve.D_rise"]), float(row["valve.D_fall"]))
-            found.setdefault(valves, []).append(values)
-    return found
 
 
 def json_of(asked: Asked) -> bytes:

@@ -110,7 +110,6 @@
       const before = asked(state.before || {});
       const found = await ask("/api/compare", [before, asked()]);
       window.opc4Draw($("whatif-plots"), found.plots);
-      window.opc4Draw($("bound-plots"), found.bounds);
       metrics(found.metrics);
       again(found);
       if (moved) requestAnimationFrame(() => window.opc4Latency.push(performance.now() - moved));

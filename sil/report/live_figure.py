@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from sil.recording.run_record import CHAMBERS
-from sil.report.figure import BAR, MM, MS, Figure, Note, Panel, Rule, Series, Span, Stack, Zoom
+from sil.report.figure import BAR, MM, MS, Figure, Panel, Rule, Series, Span, Stack, Zoom
 from sil.report.run_figure import shift_zooms, valve_spans
 from sil.simulation.in_memory import Run
 
@@ -39,32 +38,6 @@ def comparison_figure(before: Run, after: Run) -> Figure:
     named = [Zoom(zoom.name, max(zoom.low, low), min(zoom.high, high)) for zoom in own]
     stack = Stack("simulated time, ms", panels, zooms=named, limits=(low, high))
     return Figure([stack])
-
-
-def bound_figure(
-    runs: Sequence[Run], bounds: Sequence[Mapping[str, float]], hardware: str
-) -> Figure:
-    """Return the figure of runs among the softest stops found for what a controller knows, and when.
-
-    runs: before and after a change, at the lag of the controller's estimate; bounds: rows of the study
-    `bounds` (delay_s, bound_m_s, damper_m_s, open_loop_m_s) of one hardware, which it names.
-    """
-    rows = sorted(bounds, key=lambda row: row["delay_s"])
-    delays = np.array([row["delay_s"] * MS for row in rows])
-    found = np.array([row["bound_m_s"] for row in rows])
-    series = [Series(f"softest found, {hardware}", delays, found, "N", "marked")]
-    notes = []
-    for run, label, role in zip(runs, ("before", "now"), ("faint", "estimate"), strict=True):
-        lag_s, impact_m_s = (run.metrics[k] for k in ("position_lag_10_s", "impact_speed_m_s"))
-        if lag_s is not None and impact_m_s is not None:
-            notes.append(Note(lag_s * MS, impact_m_s, f"\u25cf {label}", role, "left", bold=True))
-    rules = [
-        Rule(rows[0]["damper_m_s"], "oil damper", "after", "y", "dashed"),
-        Rule(rows[0]["open_loop_m_s"], "open loop", "before", "y", "dashed"),
-    ]
-    title = "Impact over how late the controller knows the position"
-    panel = Panel(title, "m/s", series, rules=rules, notes=notes, height=200, limits=(0.0, 1.6))
-    return Figure([Stack("information delay, ms", [panel], limits=(0.0, 80.0))])
 
 
 def _lines(

@@ -19,7 +19,6 @@ import msgspec
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
 from can_dbc.messages import Gear
-from controller.firmware import Firmware
 from controller.node import ControllerNode
 from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns
@@ -35,19 +34,16 @@ from sil.coupling.transports.channel import (
     Turn,
 )
 from sil.coupling.transports.wire import GUEST
-from sil.files.atomic import write_atomically
 from sil.files.extras import ROOT
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import Scenario, expanded
-from sil.simulation.unit_memory import content
 
 if TYPE_CHECKING:
     from plant.node import PlantConfig
     from sil.coupling.transports.remote import RemoteChannel
 
 SCENARIO = "scenario.json"
-MEMORY = "memory.bin"
 REMOTE = ("controller", "plant")
 """Participants that have a process of their own on every transport but inproc."""
 
@@ -156,37 +152,18 @@ class RecordedPlant:
         self._files.close()
 
 
-class RecordedController:
-    """The controller node with our firmware, whose memory is written to a folder at the end."""
-
-    name = "controller"
-
-    def __init__(self, unit: Firmware, folder: Path) -> None:
-        self._unit, self._folder = unit, folder
-        node = ControllerNode(unit.config, unit)
-        self.start, self.advance = node.start, node.advance
-
-    def close(self) -> None:
-        """Write the memory, as at power-off."""
-        if memory := self._unit.memory:
-            write_atomically(self._folder / MEMORY, memory)
-
-
-def make_participant(
-    name: str, loaded: Loaded, folder: Path, unit: Firmware | None = None
-) -> Participant:
+def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
     """Return one participant of a scenario, its clock as the scenario says.
 
-    The plant records into `folder`, and its clock is simulated time. `unit`: the controller's
-    program, if it is not to be made from the scenario. Raises InputError for an
+    The plant records into `folder`, and its clock is simulated time. Raises InputError for an
     unknown name, or if the participant refuses its settings.
     """
-    participant = _on_time(name, loaded, folder, unit)
+    participant = _on_time(name, loaded, folder)
     ppm = getattr(loaded.scenario.clock, f"{name}_ppm", 0.0)
     return participant if ppm == 0.0 else Drifting(participant, ppm)
 
 
-def _on_time(name: str, loaded: Loaded, folder: Path, unit: Firmware | None) -> Participant:
+def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
     scenario = loaded.scenario
     if name == "driver":
         schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
@@ -202,9 +179,7 @@ def _on_time(name: str, loaded: Loaded, folder: Path, unit: Firmware | None) -> 
             from sil.nodes.own_firmware import OwnController
 
             return OwnController(scenario.firmware, scenario.controller)
-        if unit is not None:
-            return ControllerNode(scenario.controller, unit)
-        return RecordedController(Firmware(scenario.controller, content(scenario.memory)), folder)
+        return ControllerNode(scenario.controller)
     if name == "traffic":
         bus = scenario.bus
         return TrafficNode(bus.extra_load, bus.extra_priority, bus.bitrate, scenario.seed)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.firmware import Firmware
 from sil.coupling.bus import Delivery
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
@@ -31,7 +30,6 @@ from sil.simulation.expectations import Observed, evaluate
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario, contradictions
-from sil.simulation.unit_memory import content
 
 if TYPE_CHECKING:
     import pandas
@@ -52,8 +50,6 @@ class Run:
     """The metrics of result.json."""
     balances: dict[str, Any]
     rows: np.ndarray
-    memory: bytes
-    """What the firmware's memory holds at the end; empty unless its strategy learns."""
 
     @cached_property
     def checks(self) -> list[Check]:
@@ -123,10 +119,9 @@ class _TraceRows(list[np.ndarray]):
     write = list.append
 
 
-def run_in_memory(loaded: Loaded, memory_before: bytes | None = None) -> Run:
+def run_in_memory(loaded: Loaded) -> Run:
     """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
 
-    `memory_before`: of the firmware at power-on; if not given, the scenario's.
     Raises InputError if the scenario is not valid, RunError if a participant fails.
     """
     from plant.node import PlantNode
@@ -145,12 +140,8 @@ def run_in_memory(loaded: Loaded, memory_before: bytes | None = None) -> Run:
         note,
         trace_rows_at_once=ROWS_AT_ONCE,
     )
-    unit = None
-    if not scenario.firmware:
-        held = content(scenario.memory) if memory_before is None else memory_before
-        unit = Firmware(scenario.controller, held)
     participants = [
-        node if name == "plant" else build.make_participant(name, loaded, Path(), unit)
+        node if name == "plant" else build.make_participant(name, loaded, Path())
         for name in build.participant_names(scenario)
     ]
     end_ns = to_ns(scenario.duration_s)
@@ -171,8 +162,7 @@ def run_in_memory(loaded: Loaded, memory_before: bytes | None = None) -> Run:
     balances = next((dict(e.values) for e in events if e.name == "balance"), {})
     switchings = metrics.valve_switchings(record)
     figures = metrics.summary(found, balances.get("air_in_kg"), switchings, len(frames))
-    memory = b"" if unit is None else unit.memory
-    return Run(scenario, record, found, figures, balances, rows, memory)
+    return Run(scenario, record, found, figures, balances, rows)
 
 
 def _coordinated(

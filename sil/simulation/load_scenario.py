@@ -16,7 +16,6 @@ from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files import overrides
 from sil.nodes.own_firmware import absolute
 from sil.simulation.scenario import Scenario, check_consistent
-from sil.simulation.unit_memory import embedded
 
 if TYPE_CHECKING:
     from plant.parameters import ParameterSet
@@ -85,8 +84,6 @@ def from_table(
         raw["model_set"] = str(folder / scenario.model_set)
     if scenario.firmware:
         raw["firmware"] = absolute(scenario.firmware, folder)
-    if scenario.memory:
-        raw["memory"] = embedded(scenario.memory, folder, source)
     if scenario.effects or effects:
         from plant.effects.user_file import load_effects
 
@@ -104,8 +101,6 @@ def from_table(
         scenario = _checked(raw, "--set")
         if scenario.firmware:
             raw["firmware"] = absolute(scenario.firmware, Path())
-        if scenario.memory:
-            raw["memory"] = embedded(scenario.memory, Path(), "--set")
     scenario = typed_toml.convert(raw, Scenario, source)
     check_consistent(scenario, source)
     return Loaded(scenario, _overridden(parameters, scenario.model, source, settings), source)

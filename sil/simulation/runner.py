@@ -36,7 +36,7 @@ from sil.recording.run_reader import RunReader
 from sil.recording.run_record import RunRecord
 from sil.recording.trace_csv import TraceCsv
 from sil.simulation import build, expectations, metrics
-from sil.simulation.build import MEMORY, SCENARIO, SENDERS, Say
+from sil.simulation.build import SCENARIO, SENDERS, Say
 from sil.simulation.bus_figures import bus_figures, overload, response_check
 from sil.simulation.free_run import CLOCK_ZERO, FreeRun
 from sil.simulation.load_scenario import Loaded
@@ -177,7 +177,7 @@ def _reason(error: BaseException, loaded: Loaded, folder: Path, has_frames: bool
 
 def _discard(folder: Path) -> None:
     """Remove what a run that could not begin has put into its folder."""
-    records = (BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS, MEMORY)
+    records = (BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS)
     for name in (SCENARIO, *records, CLOCK_ZERO, "result.json"):
         (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # not empty: it was there before us

@@ -106,10 +106,6 @@ class Scenario(_Table, frozen=True, kw_only=True):
     firmware: str = ""
     """FILE.py or FILE.py:CLASS of a user's own firmware in place of ours, or the folder of another
     checkout of this project with its firmware, relative to the scenario; empty for ours."""
-    memory: str = ""
-    """Memory with which our firmware is powered on: a file of at most 4096 bytes, relative to the
-    scenario, as the memory.bin that a run with a learning strategy leaves; empty for none. A
-    result.json holds the content."""
     bus: BusTable = BusTable()
     clock: ClockTable = ClockTable()
     fault: list[BusFault] = []
@@ -143,10 +139,6 @@ def expanded(scenario: Scenario) -> dict[str, Any]:
 
 def contradictions(scenario: Scenario) -> list[str]:
     """Return a line for each pair of values that each are allowed and together are likely wrong."""
-    return [*_sensor_periods(scenario), *_closing(scenario)]
-
-
-def _sensor_periods(scenario: Scenario) -> list[str]:
     sent_s, assumed_s = scenario.sensor.period_s, scenario.controller.sensor.period_s
     if sent_s == assumed_s:
         return []
@@ -155,22 +147,6 @@ def _sensor_periods(scenario: Scenario) -> list[str]:
         f"{quantity(sent_s, 's')} (sensor.period_s): the firmware's filter and limits are designed "
         f"for the wrong rate; set sensor.period_s alone, which sets both"
     ]
-
-
-def _closing(scenario: Scenario) -> list[str]:
-    """Return what is wrong with a unit that learns and the valves that it assumes."""
-    if scenario.firmware or not scenario.controller.learns:
-        return []
-    key = "controller.strategy_parameters.closing_follows_current"
-    plant = scenario.plant
-    follows = plant.closing_follows_duty or plant.drive == "coil"
-    if not scenario.controller.strategy_parameters.get("closing_follows_current", False):
-        return [f"{key} is false: strategy learned makes every push plain; set it to true, and "
-                "plant.closing_follows_duty, too"]  # fmt: skip
-    if not follows:
-        return [f"{key} is true, but plant.closing_follows_duty is false: the fillings of the "
-                "strategy last longer than it assumes"]  # fmt: skip
-    return []
 
 
 def check_consistent(scenario: Scenario, source: str) -> None:
@@ -205,8 +181,6 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
             "bus.send_buffer: missing; expected a number of frames, since more waits than can be "
             f"sent with extra_load {scenario.bus.extra_load:g}"
         )
-    if scenario.memory and (scenario.firmware or not scenario.controller.learns):
-        yield "memory: given; expected none unless controller.strategy learns"
     if scenario.vehicle is not None and scenario.driver != DriverTable():
         yield "driver: given; expected none with [vehicle], which has its own periods"
     if scenario.vehicle is not None:

@@ -13,19 +13,14 @@ from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.simulation import load_scenario
 from sil.studies.assumptions import LEAST
-from sil.studies.fleet import FleetTable
 from sil.studies.rows import columns
 from sil.studies.study import DRAWN, MOST_ROWS, LoadedStudy, Study, Sweep, groups_of
 
 SHIPPED = Path(__file__).parent / "shipped"
 BASES = {
     "runs": ({(True, False), (False, True)}, "either scenario = or [stroke], exactly one"),
-    **dict.fromkeys(
-        ("budget", "learned", "tuning"), ({(True, False)}, "scenario = and no [stroke]")
-    ),
-    **dict.fromkeys(
-        ("bounds", "lower_bound", "sensitivity"), ({(False, False)}, "no scenario and no [stroke]")
-    ),
+    **dict.fromkeys(("budget", "tuning"), ({(True, False)}, "scenario = and no [stroke]")),
+    "sensitivity": ({(False, False)}, "no scenario and no [stroke]"),
 }
 """For each kind, which of (scenario, stroke) may be given, and the same in words."""
 
@@ -63,9 +58,6 @@ def load_study(where: str, effects: Sequence[str] = (), model: str | None = None
 
         study = structs.replace(study, effects=[load_effects(file) for file in files])
     load_scenario.parameters_of(study.model, f"{path}: model" if model is None else "--model")
-    if study.kind == "learned" and study.truck is None:
-        shipped_one = load_study("learned").study
-        study = structs.replace(study, truck=shipped_one.truck, factor=shipped_one.factor)
     for check in (check_shape, check_names, check_conditions, check_size):
         check(study, str(path))
     loaded = LoadedStudy(study, str(path), base_of(study, path))
@@ -93,15 +85,8 @@ def check_shape(study: Study, source: str) -> None:
     allowed, expected = BASES[study.kind]
     if (study.scenario is not None, study.stroke is not None) not in allowed:
         raise InputError(f"{source}: expected {expected}, where kind is {study.kind}")
-    if study.kind != "learned" and (
-        study.truck is not None or study.factor or study.fleet != FleetTable()
-    ):
-        what = "[truck], [[factor]] or [fleet]: given"
-        raise InputError(f'{source}: {what}; expected none without kind = "learned"')
     if study.kind == "tuning" and not (study.load and study.strategy):
         raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
-    if study.kind == "learned" and not study.strategy:
-        raise InputError(f"{source}: a study of trucks needs [[strategy]]; expected at least one")
     for index, sweep in enumerate(study.sweep):
         if wrong := wrong_sweep(sweep, study.design.kind):
             raise InputError(f"{source}: sweep[{index}] {sweep.path}: {wrong}")

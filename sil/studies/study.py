@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from sil.studies.fleet import Factor, FleetTable, TruckTable
 
 if TYPE_CHECKING:
     from sil.simulation.load_scenario import Loaded
@@ -30,9 +29,6 @@ LONGEST_S = 60.0
 CHUNK = 16
 """Rows of runs that a worker takes at a time; the longer rows of other kinds are taken one by one."""
 MOST_ROWS = 5_000_000
-TRUCK = "truck"
-FLEET_TRUCK = "fleet.truck"
-"""Column of the truck's number in a study of trucks, and the setting that chooses it."""
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
 
@@ -120,18 +116,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 DRAWN = ("lhs", "sobol", "radial")
 """Designs that draw values from ranges."""
-Kind = Literal["runs", "bounds", "lower_bound", "budget", "tuning", "sensitivity", "learned"]
-
-
-class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Size of the search for bounds; see `sil.studies.bound_search`."""
-
-    extra_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
-    """How much later than the plain push a load may arrive."""
-    simulations: Annotated[int, msgspec.Meta(ge=1, le=100_000_000)] = 200_000
-    """Strokes that each of the two searches may simulate."""
-    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
-    """Seed of the first search; the second has the next one."""
+Kind = Literal["runs", "budget", "tuning", "sensitivity"]
 
 
 class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -148,27 +133,18 @@ class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A study; exactly one of `scenario` and `stroke` is the base, bounds have none."""
+    """A study; exactly one of `scenario` and `stroke` is the base; a sensitivity study has none."""
 
     name: Name
     """Name of the study."""
     description: str = ""
     """What the study shows."""
     kind: Kind = "runs"
-    """What a row is. "runs": one shift. "bounds": the softest worst-case stop found for the family
-    bound.family of loads at the information delay bound.delay_s. "lower_bound": the softest stop
-    that is not excluded by a proof. "budget": the delays of one shift. "tuning": the best parameters
-    of a strategy over all loads together. "sensitivity": margins of the headlines of "Why feedback
-    fails". "learned": the shifts of one truck in sequence."""
-    bounds: BoundsTable = BoundsTable()
-    """Size of the search of a study of kind bounds."""
+    """What a row is. "runs": one shift. "budget": the delays of one shift. "tuning": the best
+    parameters of a strategy over all loads together. "sensitivity": margins of the headlines of "Why
+    feedback fails"."""
     tuning: TuningTable = TuningTable()
     """Size of the search of a study of kind tuning."""
-    truck: TruckTable | None = None
-    """The population of a study of kind learned; if left out, that of the shipped study learned."""
-    factor: list[Factor] = []
-    """Factors that differ between the trucks and their shifts, too; left out together with [truck]."""
-    fleet: FleetTable = FleetTable()
     scenario: str | None = None
     """Scenario that is run: a file or a shipped name."""
     stroke: StrokeBase | None = None
@@ -196,16 +172,10 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def groups_of(study: Study) -> dict[str, list[Choice]]:
-    """Return the choices of a study by kind, in column order; a tuning takes all loads together.
-
-    The trucks of a population are choices as well.
-    """
+    """Return the choices of a study by kind, in column order; a tuning takes all loads together."""
     groups = {"variant": study.variant, "strategy": study.strategy, "load": study.load}
     if study.kind == "tuning":
         del groups["load"]
-    if study.kind == "learned":
-        numbers = range(1, study.fleet.trucks + 1)
-        groups = {TRUCK: [Choice(str(k), {FLEET_TRUCK: k}) for k in numbers], **groups}
     return {name: found for name, found in groups.items() if found}
 
 
@@ -297,9 +267,7 @@ class LoadedStudy:
 
     @property
     def rows_together(self) -> int:
-        """Return how many rows in sequence a worker takes at a time: those of one truck, say."""
-        if self.study.kind == "learned":
-            return math.prod(len(items) for name, items in self.groups.items() if name != TRUCK)
+        """Return how many rows in sequence a worker takes at a time."""
         return CHUNK if self.study.kind == "runs" else 1
 
     @cached_property

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.studies.study import TRUCK, LoadedStudy
+from sil.studies.study import LoadedStudy
 
 RESULTS = "results.csv"
 
@@ -59,11 +59,8 @@ def numbers_of(cells: list[str]) -> NDArray[np.float64] | None:
 
 
 def row_groups(study: LoadedStudy, table: Table) -> dict[str, NDArray[np.int64]]:
-    """Return the row numbers [rows of the group] of each combination of choices, by its label.
-
-    A group has the rows of all trucks.
-    """
-    keys = [name for name in study.groups if name != TRUCK]
+    """Return the row numbers [rows of the group] of each combination of choices, by its label."""
+    keys = list(study.groups)
     if not keys:
         return {"": np.arange(table.size)}
     labels = [" / ".join(parts) for parts in zip(*(table.texts[k] for k in keys), strict=True)]

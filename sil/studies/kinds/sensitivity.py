@@ -27,16 +27,9 @@ from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load as load_scenario
 from sil.studies.assumptions import CONDITIONS, FACTORS, NOT_VARIED
 from sil.studies.figures import numbered, title_of
+from sil.studies.kinds.budget import THESIS_DELAYS_S
 from sil.studies.load_study import load_study
-from sil.studies.policies import (
-    GEARBOX,
-    NOT_ARRIVED,
-    PUSH,
-    THESIS_DELAYS_S,
-    Family,
-    FamilyModel,
-    Layout,
-)
+from sil.studies.policies import GEARBOX, NOT_ARRIVED_M_S, PUSH, Family, FamilyModel
 from sil.studies.rows import NOT_RUN, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, texts_of
 from sil.studies.table import Table
@@ -46,7 +39,6 @@ Floats = NDArray[np.float64]
 HEADLINES = {
     "damper_m_s": "the oil damper softens the hardest of the gearbox loads",
     "late_s": "the last part of every stroke is shorter than 48 ms",
-    "blind_m_s": "48 ms late, no programme found is as soft as the oil damper",
     "ahead_m_s": "known ahead: the synchro brake softens 250 N s",
     "cushion_m_s": "in the laboratory the cushion of quick hardware is softer than the open loop",
     "bench_m_s": "there it is harder than the oil damper",
@@ -64,7 +56,6 @@ SCATTERED, SHIFTS, OFTEN_LOAD = "how_often", 10, "gearbox, 250 N s"
 
 THESIS_S = sum(delay_s for _name, delay_s in THESIS_DELAYS_S)
 EXTRA_S = 0.03
-GENERATIONS = 15
 RESAMPLES = 1000
 
 
@@ -146,36 +137,16 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
 
 def _gearbox_margins(parameters: ParameterSet, family: Family) -> dict[str, float]:
     """Return the margins of the headlines on policies of the plant alone, and the damper at 250 N s."""
-    late, damped = (
-        FamilyModel(parameters, each, THESIS_S, EXTRA_S)
+    plain, damped = (
+        FamilyModel(parameters, each, EXTRA_S).plain
         for each in (family, family.under(load="damper"))
     )
-    plain, damper_m_s = late.plain, damped.plain.impact_worst_m_s[0, 0]
+    damper_m_s = damped.impact_worst_m_s[0]
     return {
         "damper_m_s": float(plain.impact_worst_m_s.max() - damper_m_s.max()),
         "late_s": THESIS_S - float((plain.arrival_s - plain.revealed_s).max()),
-        "blind_m_s": _softest_blind_m_s(late) - float(damper_m_s.max()),
         "damper_250_m_s": float(damper_m_s[-1]),
     }
-
-
-def _softest_blind_m_s(model: FamilyModel) -> float:
-    """Return the softest worst case of programmes of two pulses of N, by a small global search."""
-    from scipy.optimize import differential_evolution
-
-    layout, last = Layout("N", 2, 0), 100.0 * float(model.limit_s.max())
-    found = differential_evolution(
-        lambda x: model.fly(x.T[:, None, :], None, layout).cost_m_s.max(axis=(1, 2)),
-        [(0.0, last), (-1.0, 6.0), (0.0, last), (-1.0, 10.0)],
-        popsize=10,
-        maxiter=GENERATIONS,
-        init="sobol",
-        updating="deferred",
-        vectorized=True,
-        polish=False,
-        seed=0,
-    )
-    return float(found.fun)
 
 
 def _impact(model: str, scenario: str, settings: Sequence[str]) -> tuple[float, float]:
@@ -183,7 +154,7 @@ def _impact(model: str, scenario: str, settings: Sequence[str]) -> tuple[float, 
     named = None if model == "nominal" else model
     shift = run_in_memory(load_scenario(scenario, model=named, settings=settings)).shifts[-1]
     if shift.arrived_s is None or shift.impact_worst_m_s is None:
-        return NOT_ARRIVED, 1.0
+        return NOT_ARRIVED_M_S, 1.0
     return shift.impact_worst_m_s, shift.arrived_s
 
 
