@@ -256,7 +256,13 @@ def spelled(action: argparse.Action) -> str:
 
 
 PYTHON_API = {
-    "Functions": ("sil.api:run", "sil.api:simulate", "sil.api:whatif", "sil.api:diagnose", "sil.api:replay"),
+    "Functions": (
+        "sil.api:run",
+        "sil.api:simulate",
+        "sil.api:whatif",
+        "sil.api:diagnose",
+        "sil.api:replay",
+    ),
     "What they return and raise": (
         "sil.simulation.in_memory:Run",
         "sil.simulation.metrics:Shift",
@@ -337,7 +343,11 @@ def signature(function: Any, name: str | None = None) -> str:
 
 def docstring(item: Any) -> Iterator[str]:
     """Yield a docstring as Markdown: numpydoc sections become lists."""
-    lines = [line for line in (inspect.getdoc(item) or "").splitlines() if not line.startswith("Checked by")]
+    lines = [
+        line
+        for line in (inspect.getdoc(item) or "").splitlines()
+        if not line.startswith("Checked by")
+    ]
     name = ""
     for line, following in zip(lines, [*lines[1:], ""], strict=True):
         if following and set(following) == {"-"}:

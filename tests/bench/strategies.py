@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from types import CodeType, FrameType
 from typing import Any
 
-from controller.learning import METHODS
 from controller.strategies import NAMES
 
 ARITHMETIC = frozenset(("BINARY_OP", "UNARY_NEGATIVE", "COMPARE_OP"))
@@ -85,33 +84,9 @@ def cost(name: str) -> tuple[float, float, int]:
     return 1e6 * statistics.median(spent_s), 1e6 * max(spent_s), max(counts)
 
 
-def learning_cost(method: str) -> tuple[int, int]:
-    """Greatest count of operations after a shift of the strategy that learns, and bytes of memory."""
-    from controller.strategies.learned import Learned
-    from sil.simulation.in_memory import run_in_memory
-    from sil.simulation.load_scenario import load
-
-    plain, counts = Learned.ended, [0]
-
-    def counting(self: Learned, *arguments: Any) -> None:
-        counts.append(operations(plain, self, *arguments)[1])
-
-    name = f"controller.strategy_parameters.method={method!r}"
-    try:
-        setattr(Learned, "ended", counting)  # noqa: B010
-        run = run_in_memory(load("strategy_learned", settings=[name]))
-    finally:
-        setattr(Learned, "ended", plain)  # noqa: B010
-    return max(counts), len(run.memory)
-
-
 def measure() -> Iterator[str]:
     """Lines of the table."""
     yield "strategy       median us   worst us   operations a step at most"
     for name in NAMES:
         median_us, worst_us, counted = cost(name)
         yield f"{name:14} {median_us:9.1f} {worst_us:10.1f} {counted:12,d}"
-    yield "learned, by method   operations after a shift   bytes of memory"
-    for method in METHODS:
-        counted, size = learning_cost(method)
-        yield f"{method:20} {counted:24,d} {size:17,d}"

@@ -44,7 +44,6 @@ def test_shipped_scenario(name: str, shipped_run: ShippedRun) -> None:
     assert sorted(p.name for p in folder.iterdir()) == [
         "bus.log",
         "events.jsonl",
-        *(["memory.bin"] if name == "strategy_learned" else []),
         "result.json",
         "trace.csv",
     ]

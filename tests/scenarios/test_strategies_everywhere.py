@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from controller.learning import METHODS
 from controller.strategies import NAMES
 from sil.simulation import load_scenario, runner
 from sil.simulation.in_memory import run_in_memory
-from tests.bench.strategies import cost, learning_cost
+from tests.bench.strategies import cost
 
 STRATEGIES = [name for name in NAMES if name != "open_loop"]
 
@@ -33,7 +32,7 @@ def test_same_bits_in_its_own_process(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> None:
     """Up to the stop and a little beyond: there the strategy has done all that it does."""
-    gearbox = name in ("blow_cut", "synchro_brake", "fixed_programme", "learned")
+    gearbox = name in ("blow_cut", "synchro_brake", "fixed_programme")
     table, _path = load_scenario.read(f"strategy_{name}")
     table["duration_s"], table["request"] = 0.4 if gearbox else 0.2, table["request"][:1]
     loaded = load_scenario.from_table(table, name)
@@ -56,7 +55,6 @@ def test_a_step_costs_no_more_operations_than_it_says(name: str) -> None:
         "sliding_mode": 20,
         "synchro_brake": 60,
         "fixed_programme": 20,
-        "learned": 100,
         "bang_bang": 60_000,
         "predictive": 260_000,
     }
@@ -64,11 +62,3 @@ def test_a_step_costs_no_more_operations_than_it_says(name: str) -> None:
     assert 0 <= counted <= stated[name]
     assert counted > 0 or name == "blow_cut"
     assert worst_us > 0.0
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_what_a_shift_teaches_costs_little(method: str) -> None:
-    """100 ms at 40 MHz would be four million cycles; the memory may have 4 kB."""
-    counted, size = learning_cost(method)
-    assert 0 < counted <= 300
-    assert 0 < size <= 4096

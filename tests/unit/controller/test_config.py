@@ -160,7 +160,7 @@ LINES = [
     (
         {"strategy": "open_lop"},
         "s.toml: strategy: 'open_lop' is unknown; expected one of open_loop, blow_cut, air_cushion, "
-        "synchro_brake, fixed_programme, sliding_mode, bang_bang, predictive, learned",
+        "synchro_brake, fixed_programme, sliding_mode, bang_bang, predictive",
     ),
     (
         {"strategy_parameters": {"gain": 1}},

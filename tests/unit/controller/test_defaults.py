@@ -103,10 +103,7 @@ def test_the_message_of_a_value_out_of_bounds_has_its_unit(make: Any, message: s
 
 
 def test_commands_and_defaults_of_a_push() -> None:
-    assert (PUSH, BRAKE, REST) == ((True, False, None), (False, True, None), (False, False, None))
+    assert (PUSH, BRAKE, REST) == ((True, False), (False, True), (False, False))
     assert Progress(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
-    nobody = ShiftContext(
-        Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None)
-    )
-    assert nobody[-5:] == (None, 0, None, True, False)
+    assert ShiftContext(Gear.NEUTRAL, Chamber.N, 0, 0)[-2:] == (None, 0)
     assert OFF == (0.0, 0.0, 0.0)

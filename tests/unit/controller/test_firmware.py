@@ -297,7 +297,7 @@ class TestBroadcast:
 class TestPieces:
     def test_what_has_not_arrived_is_nothing(self) -> None:
         initial = E2eState.INIT
-        assert Inputs() == ((), None, None, initial, initial, initial, None)
+        assert Inputs() == ((), None, None, initial, initial, initial)
 
     @pytest.mark.parametrize("chamber", [Chamber.B, Chamber.N, Chamber.F])
     def test_a_chamber_is_clear_after_the_interlock_and_the_period_that_it_was_on(

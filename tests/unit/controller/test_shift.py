@@ -7,7 +7,6 @@ import random
 import pytest
 
 from can_dbc.messages import Fault, Gear, ShiftState
-from controller.config import FirmwareConfig
 from controller.settings import BlowConfig, ShiftConfig, WindowConfig
 from controller.shift import TRANSITIONS, Event
 from tests.unit.controller.shift_bench import MS, B, Bench, F, N, S, U
@@ -269,28 +268,6 @@ class TestPush:
         assert bench.machine.raised is Fault.NONE  # the firmware knows why
         assert bench.step(position_valid=False) is S.FAULT
 
-    @pytest.mark.parametrize("state", [S.PUSH, S.CONFIRM])
-    def test_a_lost_position_waits_for_a_strategy_that_is_committed(
-        self, state: ShiftState
-    ) -> None:
-        bench = Bench(N).pushing(B)
-        bench.step(gear=B if state is S.CONFIRM else U, run=1)
-        for _ in range(10):
-            assert bench.step(position_valid=False, committed=True) is state
-            assert bench.machine.confirmed is U
-        assert bench.step(committed=False) is S.FAULT
-
-    def test_it_waits_until_the_timeout_of_the_push_and_during_no_blow(self) -> None:
-        bench = Bench(N).pushing(B)
-        bench.step(gear=U, run=1, position_valid=False, committed=True)
-        timeout_ms = round(1e3 * FirmwareConfig().shift.push_timeout_s)
-        assert timeout_ms - 20 <= bench.until(S.FAULT) <= timeout_ms
-        blowing = Bench(N).pushing(B)
-        blowing.step(gear=B, run=1)
-        blowing.step(gear=B, run=2)
-        blowing.until(S.BLOW)
-        assert blowing.step(position_valid=False, committed=True) is S.FAULT
-
 
 class TestTable:
     def test_every_transition_of_the_table_is_made_and_no_other(self) -> None:
@@ -315,7 +292,6 @@ class TestTable:
                         synchronized=rng.choice((True, False, None)),
                         clear_b=rng.random() < 0.8,
                         clear_f=rng.random() < 0.8,
-                        committed=rng.random() < 0.5,
                     )
                     event, after = bench.machine.event, bench.machine.state
                     if event is None:

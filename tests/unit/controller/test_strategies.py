@@ -7,7 +7,6 @@ import pytest
 from can_dbc.messages import Chamber, Gear
 from controller import strategies
 from controller.config import FirmwareConfig, create_strategy
-from controller.firmware import Firmware
 from controller.position import Estimate
 from controller.strategies import OFF, Duties, ShiftContext, Strategy, one_chamber
 from controller.strategies.open_loop import OpenLoop
@@ -16,15 +15,7 @@ ANYWHERE = Estimate(True, 0.003, 0.002, 0.5, ())
 
 
 def context(charged: Chamber) -> ShiftContext:
-    return ShiftContext(
-        leg=Gear.BACKWARD,
-        final=Gear.BACKWARD,
-        charged=charged,
-        passive=Chamber.N,
-        start_ns=0,
-        attempt=0,
-        energised_ns=(None, None, None),
-    )
+    return ShiftContext(leg=Gear.BACKWARD, charged=charged, start_ns=0, attempt=0)
 
 
 @pytest.mark.parametrize("name", list(strategies.NAMES))
@@ -65,10 +56,3 @@ def test_the_blow_is_as_configured_unless_a_strategy_says_otherwise() -> None:
     strategy = create_strategy(FirmwareConfig())
     for follows in (False, True):
         assert strategy.blow_s(0.123, Gear.NEUTRAL, follows) == 0.123
-
-
-def test_only_a_strategy_that_learns_has_a_memory() -> None:
-    for name in strategies.NAMES:
-        config = FirmwareConfig(strategy=name)
-        unit = Firmware(config, b"anything")
-        assert bool(unit.memory) == config.learns == (name == "learned")

@@ -31,8 +31,7 @@ def seen(position_m: float, velocity_m_s: float) -> Estimate:
 
 def push(leg: Gear, attempt: int = 0) -> ShiftContext:
     charged = {Gear.BACKWARD: Chamber.B, Gear.NEUTRAL: Chamber.N, Gear.FORWARD: Chamber.F}[leg]
-    passive = Chamber.B if leg is Gear.NEUTRAL else Chamber.N
-    return ShiftContext(leg, leg, charged, passive, 0, attempt, (None, None, None))
+    return ShiftContext(leg, charged, 0, attempt)
 
 
 @pytest.mark.parametrize("name", BRAKING)

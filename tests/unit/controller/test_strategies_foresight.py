@@ -27,7 +27,7 @@ QUICK = FirmwareConfig(
     sensor=SensorConfig(period_s=0.0025),
     filter=FilterConfig(enabled=False),
 )
-PUSH = ShiftContext(Gear.BACKWARD, Gear.BACKWARD, Chamber.B, Chamber.N, 0, 0, (None, None, None))
+PUSH = ShiftContext(Gear.BACKWARD, Chamber.B, 0, 0)
 QUICK_VALVES = {"model": {"valve_close_s": 0.005}, "observer": {"sensor_age_s": 0.0}}
 
 

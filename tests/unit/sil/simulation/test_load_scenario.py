@@ -213,19 +213,6 @@ def test_periods_that_contradict_each_other_are_named_with_the_cause(tmp_path: P
     assert "controller.sensor.period_s is 2.5 ms, but the sensor sends every 10 ms" in line
 
 
-def test_a_unit_that_learns_and_its_valves_that_contradict_each_other(tmp_path: Path) -> None:
-    own = "controller.strategy_parameters.closing_follows_current=true"
-    learns = 'controller.strategy="learned"'
-    (line,) = scenario.contradictions(load(tmp_path, GOOD, settings=[learns]).scenario)
-    assert "strategy learned makes every push plain" in line
-    (line,) = scenario.contradictions(load(tmp_path, GOOD, settings=[learns, own]).scenario)
-    assert "plant.closing_follows_duty is false" in line
-    for plant in ("plant.closing_follows_duty=true", 'plant.drive="coil"'):
-        both = load(tmp_path, GOOD, settings=[learns, own, plant])
-        assert scenario.contradictions(both.scenario) == []
-    assert scenario.contradictions(load(tmp_path, GOOD).scenario) == []
-
-
 def test_model_file_and_seed(tmp_path: Path) -> None:
     model = tmp_path / "m.toml"
     model.write_text(

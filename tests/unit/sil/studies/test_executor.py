@@ -35,18 +35,6 @@ steps = 120
 """
 
 SPECIAL = {
-    "bounds": """
-name = "few"
-kind = "bounds"
-[bounds]
-simulations = 1500
-[[sweep]]
-path = "bound.delay_s"
-values = [0.048, 0.05, 0.06]
-[[load]]
-name = "laboratory"
-set = { "bound.family" = "laboratory" }
-""",
     "budget": """
 name = "three"
 kind = "budget"

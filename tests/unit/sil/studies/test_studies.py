@@ -160,7 +160,6 @@ def test_space_filling_designs_repeat_and_fill(kind: str, tmp_path: Path) -> Non
             "swept, too",
         ),
         ('reads = ["speed"]\n' + GRID, r"reads\[0\]"),
-        (GRID + "[fleet]\ntrucks = 2\n", r"\[fleet\]: given; expected none without kind"),
     ],
 )
 def test_bad_studies_are_one_line(text: str, message: str, tmp_path: Path) -> None:

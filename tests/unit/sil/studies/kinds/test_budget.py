@@ -13,8 +13,7 @@ from controller.settings import FilterConfig
 from plant.parameters import load as load_parameters
 from sil.simulation.load_scenario import load
 from sil.studies.kinds import budget as budgets
-from sil.studies.kinds.budget import BARS, NoBudgetError, budget_of, simulated
-from sil.studies.policies import THESIS_DELAYS_S
+from sil.studies.kinds.budget import BARS, THESIS_DELAYS_S, NoBudgetError, budget_of, simulated
 
 
 @pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])
