@@ -27,7 +27,6 @@ COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
     "simulate": "simulate the plant alone, under the conditions of a measurement campaign",
     "diagnose": "compare measurements with the simulation and name the cause of a difference",
-    "watch": "track a truck's parameters over many logs; date changes, extrapolate drifts",
     "replay": "feed a recorded log into the firmware and compare; shifts of a truck's log",
     "whatif": "run a study: sweep any values of model, firmware, sensor and bus",
     "identify": "identify flow maps, friction, exponents or oil damper from a campaign",

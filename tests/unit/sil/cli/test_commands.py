@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 from pathlib import Path
 
@@ -66,32 +65,11 @@ def test_a_wrong_option_is_one_line(
 def test_a_path_without_permission_is_bad_input(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied", "a.log")
-
-    log, out, report = tmp_path / "a.log", tmp_path / "out", tmp_path / "a.xml"
-    log.write_text(LOG)
-    monkeypatch.setattr("sil.shift_diagnosis.watch.Watch.take", refuse)
-    assert cli.main(["watch", str(log), "--out", str(out)]) == 2
-    line = "opc4 watch: a.log: Permission denied; expected a path with permission\n"
-    assert capsys.readouterr().err == line and not out.exists()
+    out, report = tmp_path / "out", tmp_path / "a.xml"
     monkeypatch.setattr("os.access", lambda *_: False)
     assert cli.main(["run", "lab_n_b", "--junit", str(report), "--out", str(out)]) == 2
     line = f"opc4 run: {report}: --junit: no permission; expected a folder to write in\n"
     assert capsys.readouterr().err == line and not out.exists()
-
-
-@pytest.mark.parametrize("model", ["nominal", "nominl"])
-def test_watch_leaves_no_folder_where_nothing_was_taken(
-    model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log, out = tmp_path / "bus.log", tmp_path / "out"
-    log.write_text(LOG)
-    words = ["watch", str(log), "--model", model, "--out", str(out)]
-    assert cli.main(words) == 2
-    assert capsys.readouterr().err.count("\n") == 1 and not out.exists()
-    out.mkdir()
-    assert cli.main(words) == 2 and out.is_dir()
 
 
 def test_a_folder_that_holds_a_run_is_refused_before_logs_are_judged(
