@@ -31,7 +31,7 @@ UNUSUAL: Final = 1e-3
 """Probability below which as many deviations as large are no scatter."""
 RARE: Final = 30.0
 """Chi squared of a shift's own quantities that one shift in ten thousand exceeds."""
-GENERATIONS: Final = 40
+GENERATIONS: Final = 60
 
 
 def _limit(linear: Linear) -> tuple[Floats, float]:
@@ -120,7 +120,7 @@ def is_scatter(fitter: Fitter, best: Fit, k: int, limit: float) -> bool:
         return np.nan_to_num(found, nan=UNABLE)
 
     zeros = np.zeros(len(names))
-    found = evolved(costs, zeros, np.eye(len(names)), GENERATIONS)
+    found = evolved(costs, zeros, 10.0 * np.eye(len(names)), GENERATIONS, 60)  # as wide as the scatter
     return bool(found @ found < RARE and costs([found])[0] < limit * len(shift.time_s))
 
 
