@@ -82,12 +82,6 @@ ENTRIES = (
         "diagnosis/strokes.png",
         "A diagnosis (campaign of the tutorial): measured, nominal and extended model.",
     ),
-    Entry(
-        "claims",
-        "opc4 claims F07 F16 F36 --out claims",
-        "claims/shift.png",
-        "The thesis's central claim: the filter makes the estimate later than the motion.",
-    ),
 )
 
 

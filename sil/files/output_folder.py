@@ -30,14 +30,12 @@ RUN_FILES = frozenset(
             "fault_table.md",
             "sensitivity.md",
         ),
-        *("diagnosis.json", "extended_model.toml", "claims.json", "claims.md", "model.toml"),
+        *("diagnosis.json", "extended_model.toml", "model.toml"),
     )
 )
 """The files that commands write; any of them in a folder marks it as holding a run."""
 
-LAST_WRITTEN = frozenset(
-    ("summary.json", "diff.json", "diagnosis.json", "claims.json", "model.toml")
-)
+LAST_WRITTEN = frozenset(("summary.json", "diff.json", "diagnosis.json", "model.toml"))
 """Of these each exists only when its command has finished; result.json itself says `complete`."""
 
 INCOMPLETE = "INCOMPLETE"

@@ -31,7 +31,6 @@ _FILES = {
     "summary.json": "study",
     "results.csv": "study",
     "diff.json": "replay",
-    "claims.json": "claims",
 }
 
 

@@ -120,7 +120,9 @@ def is_scatter(fitter: Fitter, best: Fit, k: int, limit: float) -> bool:
         return np.nan_to_num(found, nan=UNABLE)
 
     zeros = np.zeros(len(names))
-    found = evolved(costs, zeros, 10.0 * np.eye(len(names)), GENERATIONS, 60)  # as wide as the scatter
+    found = evolved(
+        costs, zeros, 10.0 * np.eye(len(names)), GENERATIONS, 60
+    )  # as wide as the scatter
     return bool(found @ found < RARE and costs([found])[0] < limit * len(shift.time_s))
 
 

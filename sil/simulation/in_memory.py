@@ -1,6 +1,6 @@
 """A scenario run in memory: the CAN path and equations of `opc4 run`, without files or pictures.
 
-Sweeps and claims use it; a test holds it equal to `opc4 run`, trace hash included.
+Sweeps use it; a test holds it equal to `opc4 run`, trace hash included.
 Checked by: tests/unit/sil/simulation/test_in_memory.py
 """
 

@@ -122,10 +122,6 @@ def of_strokes(folder: Path) -> list[str]:
     return ["whatif", "piston_mass"]
 
 
-def of_claims(folder: Path) -> list[str]:
-    return ["claims", "F07", "F16", "F26"]
-
-
 def of_diagnose(folder: Path) -> list[str]:
     base = load()
     hidden = {"exhaust_clog": {"factor": Parameter(0.75, "-", "hidden by the test")}}
@@ -144,7 +140,6 @@ MAKERS: dict[str, tuple[Callable[[Path], list[str]], int]] = {
     "whatif": (of_whatif, 0),
     "choices": (of_choices, 0),
     "strokes": (of_strokes, 0),
-    "claims": (of_claims, 0),
     "diagnose": (of_diagnose, 1),
     "force": (of_force, 1),
 }

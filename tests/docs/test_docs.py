@@ -15,7 +15,6 @@ import pytest
 from can_dbc import typed_toml
 from docs.generate import FOLDER, examples, generated
 from sil import cli
-from sil.claims.claim import all_claims
 from sil.simulation.load_scenario import from_table
 from sil.simulation.load_scenario import shipped as scenarios
 from sil.studies.load_study import shipped as studies
@@ -97,9 +96,6 @@ def test_names_in_the_text_exist(page: str) -> None:
         assert name in studies(), name
     for name in re.findall(r"`opc4 run ([a-z_0-9]+)[` ]", text):
         assert name in scenarios(), name
-    claims = {claim.id for claim in all_claims()}
-    for ids in re.findall(r"`opc4 claims ((?:F\d+\w* ?)+)`", text):
-        assert set(ids.split()) <= claims
     for module in re.findall(r"python -m ([a-z_.]+[a-z_])", text):
         if module.partition(".")[0] in ("can_dbc", "controller", "plant", "sil", "tests"):
             path = ROOT / Path(*module.split("."))

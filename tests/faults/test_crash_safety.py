@@ -74,7 +74,6 @@ def commands(made: Path) -> dict[str, list[str]]:
         "whatif": ["whatif", str(made / "few.toml"), "--workers", "2"],
         "simulate": ["simulate", str(made / "campaign")],
         "diagnose": ["diagnose", measured, "--workers", "2"],
-        "claims": ["claims", "F07", "F49"],
     }
 
 
@@ -116,7 +115,7 @@ def state(folder: Path) -> str:
     return "complete"
 
 
-NAMES = ("run", "run local", "replay", "whatif", "simulate", "diagnose", "claims")
+NAMES = ("run", "run local", "replay", "whatif", "simulate", "diagnose")
 
 
 def how_long(arguments: list[str], folder: Path) -> float:

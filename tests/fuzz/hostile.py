@@ -255,7 +255,7 @@ class Bench:
 
     def _words(self, rng: random.Random) -> tuple[str, list[str]]:
         command = rng.choice(("run", "replay", "whatif", "diagnose", "simulate", "convert", "bus",
-                              "identify", "claims", "fmu", "node", "-", "--help"))  # fmt: skip
+                              "identify", "fmu", "node", "-", "--help"))  # fmt: skip
         pool = (*OPTIONS, *TEXTS, *NUMBERS, "out", "lab_n_b", "s.toml", "x\0y", "\udcff", "/dev/null",
                 "/proc/self/mem", "out/../../z", "link")  # fmt: skip
         Path("link").symlink_to(self.folder / "outside")
@@ -378,7 +378,6 @@ def harmless() -> Iterator[None]:
         stack.enter_context(mock.patch("sil.diagnosis.diagnosis.diagnose", read_only))
         stack.enter_context(mock.patch("sil.coupling.transports.link.open_link", refuse))
         stack.enter_context(mock.patch("sil.fmu.export.export", refuse))
-        stack.enter_context(mock.patch("sil.claims.claim.check", refuse))
         yield
 
 

@@ -210,7 +210,6 @@ COMMANDS = [
     ["run", "lab_n_b"],
     ["replay", "{golden}/lab_n_b.log.gz"],
     ["whatif", "sensor_delay"],
-    ["claims", "F07"],
 ]
 
 

@@ -31,8 +31,8 @@ def test_names_are_escaped_and_nothing_is_asked_of_the_network() -> None:
     groups = plots(everything())
     head = Head("diagnose", "<b>x", "named", good=False, tiles=[("1", "</div>")], again="a && b")
     page = render(
-        "claims.html", head, groups, findings=[],
-        picture=Picture(b"png", "what", "caption"),
+        "shifts.html", head, groups, lines=[],
+        pictures=[Picture(b"png", "what", "caption")],
     )  # fmt: skip
     assert "<title>&lt;b&gt;x: named</title>" in page and "<b>x" not in page
     assert "&lt;/div&gt;" in page and "a &amp;&amp; b" in page

@@ -15,8 +15,8 @@ from plant.kernel.layout import LengthState, Parameters
 from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from plant.systems.stroke import Stroke
-from sil.claims.claim import GIVEN, PARTLY, Outcome, judged
-from sil.claims.strokes import (
+from tests.claims.claim import GIVEN, PARTLY, Outcome, judged
+from tests.claims.strokes import (
     arrival,
     first_motion_s,
     ms,

@@ -17,8 +17,8 @@ from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from plant.systems.stroke import Stroke
 from sil.campaign.campaign import Floats
-from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
-from sil.claims.strokes import (
+from tests.claims.claim import NOT_MET, PARTLY, Outcome, judged
+from tests.claims.strokes import (
     ATMOSPHERE_PA,
     SUPPLY_PA,
     loop,

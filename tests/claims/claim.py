@@ -17,8 +17,6 @@ from typing import NamedTuple
 
 import msgspec
 
-from can_dbc.errors import InputError, nearest
-
 CHAPTERS = ("equipment", "pneumatics", "oil", "verification", "truck", "trends", "optimal")
 
 MET, PARTLY, NOT_MET, OPEN = "met", "partly", "not met", "cannot be shown"
@@ -35,7 +33,7 @@ class Outcome(NamedTuple):
 
 
 class Claim(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One claim of the thesis: its number, section, wording and the command that shows it.
+    """One claim of the thesis: its number, section, wording, and a command that shows it, if there is one.
 
     achieved, reason: what the simulation gives, and why the claim is not met; format strings of
     figures until the claim is checked. verdict: empty until then, but where no simulation can decide.
@@ -56,26 +54,7 @@ def all_claims() -> list[Claim]:
     """Return every claim, in the order of its number."""
     text = Path(__file__).with_name("claims.toml").read_text(encoding="utf-8")
     tables = msgspec.convert(tomllib.loads(text), dict[str, Claim])
-    return [
-        msgspec.structs.replace(item, id=number, command=item.command or f"opc4 claims {number}")
-        for number, item in sorted(tables.items())
-    ]
-
-
-def chosen(names: Iterable[str]) -> list[Claim]:
-    """Return the claims of these numbers, all if there are none.
-
-    Raises InputError, with the nearest numbers, for an unknown one.
-    """
-    known = {item.id: item for item in all_claims()}
-    wanted = list(names)
-    for name in wanted:
-        if name not in known:
-            near = nearest(name, known, cutoff=0.3) or list(known)[:3]
-            raise InputError(
-                f"claim {name!r}: no such claim; expected one of {', '.join(near)}, ..."
-            )
-    return [known[name] for name in wanted] or list(known.values())
+    return [msgspec.structs.replace(item, id=number) for number, item in sorted(tables.items())]
 
 
 def check(item: Claim) -> Claim:
@@ -93,7 +72,7 @@ def check(item: Claim) -> Claim:
 @cache
 def _measurements() -> dict[str, Callable[[], Outcome]]:
     """Return the function that measures each claim, by its number."""
-    modules = [importlib.import_module(f"sil.claims.{chapter}") for chapter in CHAPTERS]
+    modules = [importlib.import_module(f"tests.claims.{chapter}") for chapter in CHAPTERS]
     functions = [pair for module in modules for pair in vars(module).items()]
     named = re.compile(r"_f(\d\d\w*?)_")
     return {f"F{found[1]}": f for name, f in functions if (found := named.match(name))}
@@ -102,3 +81,22 @@ def _measurements() -> dict[str, Callable[[], Outcome]]:
 def judged(good: bool, *figures: object, verdict: str = MET, otherwise: str = NOT_MET) -> Outcome:
     """Return a verdict, met where no other is named, or the opposite one, with its figures."""
     return Outcome(verdict if good else otherwise, figures)
+
+
+def markdown(findings: Iterable[Claim]) -> str:
+    """Return checked claims as one page."""
+    lines = [
+        "# The thesis's claims",
+        "",
+        "Each claim of the thesis, and what the simulation gives. Written by `python -m tests.claims`.",
+        "",
+        "| claim | section | the thesis | here | verdict |",
+        "|---|---|---|---|---|",
+    ]
+    for item in findings:
+        why = f" ({item.reason})" if item.reason else ""
+        why += f" *Judged anew: {item.changed}*" if item.changed else ""
+        shown = f" `{item.command}`" if item.command else ""
+        cells = [item.id, item.section, item.claimed, item.achieved + why + shown, item.verdict]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"

@@ -18,8 +18,8 @@ from scipy.optimize import linprog
 from plant.batch.batch import Strokes, simulate_batch
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.systems.setup import make_setup
-from sil.claims.claim import Outcome, judged
-from sil.claims.strokes import SUPPLY_PA, nominal
+from tests.claims.claim import Outcome, judged
+from tests.claims.strokes import SUPPLY_PA, nominal
 
 Floats = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import numpy as np
 from can_dbc.messages import PositionPulse
 from plant.parameters import load
 from plant.systems.stroke import Stroke
-from sil.claims.claim import GIVEN, MET, NOT_MET, PARTLY, Outcome, judged
-from sil.claims.equipment import lags
-from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, loop, ms, nominal, run, value
 from sil.simulation import load_scenario
+from tests.claims.claim import GIVEN, MET, NOT_MET, PARTLY, Outcome, judged
+from tests.claims.equipment import lags
+from tests.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, loop, ms, nominal, run, value
 
 
 @cache

@@ -12,8 +12,8 @@ from scipy.signal import find_peaks
 from plant.kernel.layout import Parameters
 from plant.parts.damper import bulk_modulus, discharge_coefficient, large_area
 from plant.systems.stroke import Stroke
-from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
-from sil.claims.strokes import ATMOSPHERE_PA, arrival, ms, run, speed, value
+from tests.claims.claim import NOT_MET, PARTLY, Outcome, judged
+from tests.claims.strokes import ATMOSPHERE_PA, arrival, ms, run, speed, value
 
 FINE: dict[str, Any] = {"load": "damper", "until_s": 0.12, "step_s": 1e-5}
 """Load, end and output step of the strokes with the damper."""

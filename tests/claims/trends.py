@@ -9,8 +9,8 @@ import numpy as np
 from plant.effects.setup import Setup
 from plant.kernel.layout import Parameters
 from plant.systems.stroke import Stroke
-from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged
-from sil.claims.strokes import (
+from tests.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged
+from tests.claims.strokes import (
     Change,
     arrival,
     first_motion_s,

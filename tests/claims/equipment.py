@@ -8,8 +8,8 @@ import numpy as np
 
 from can_dbc.messages import PositionPulse
 from plant.devices.sensors import InductiveSensor
-from sil.claims.claim import GIVEN, NOT_MET, OPEN, PARTLY, Outcome, judged
-from sil.claims.strokes import loop, ms, nominal, peak_bar, plain, run, value
+from tests.claims.claim import GIVEN, NOT_MET, OPEN, PARTLY, Outcome, judged
+from tests.claims.strokes import loop, ms, nominal, peak_bar, plain, run, value
 
 PHASES = tuple(0.0005 * k for k in range(20))
 

@@ -1,0 +1,1 @@
+"""The thesis's claims, each measured; `python -m tests.claims` writes docs/claims.md."""
