@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as closing:
         if arguments.realtime:
             signal.signal(signal.SIGTERM, signal.default_int_handler)
-            bus = open_bus(channel, wait_s, notify, build.received(name))
+            bus = open_bus(channel, wait_s, notify, tuple(build.received()[name]))
             closing.callback(bus.shutdown)
         else:
             link = open_link(channel, wait_s, notify)

@@ -11,11 +11,11 @@ the bus is perfect.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
@@ -26,13 +26,13 @@ ERROR_FRAME_BITS = 23
 """The longest error frame: superposed flags of 12 bits, delimiter 8, intermission 3."""
 
 
-class Delivery(NamedTuple):
-    """A frame that arrived at `arrival_ns` and was released by its sender at `queued_ns`."""
+class BusFrame(NamedTuple):
+    """One frame as it crossed the bus: released by its sender, arrived at everybody else."""
 
+    released_ns: int
     arrival_ns: int
-    frame: Frame
     sender: str
-    queued_ns: int
+    frame: Frame
 
 
 class Transmission(NamedTuple):
@@ -45,12 +45,12 @@ class Transmission(NamedTuple):
     end_ns: int
     frame: Frame
     sender: str
-    queued_ns: int
+    released_ns: int
     attempt: int
 
-    def delivered(self) -> tuple[Delivery, ...]:
+    def delivered(self) -> tuple[BusFrame, ...]:
         """Return what a perfect bus delivers."""
-        return (Delivery(self.end_ns, self.frame, self.sender, self.queued_ns),)
+        return (BusFrame(self.released_ns, self.end_ns, self.sender, self.frame),)
 
 
 class ErrorFrame(NamedTuple):
@@ -62,11 +62,11 @@ class ErrorFrame(NamedTuple):
     retransmit: bool = True
 
 
-FrameFilter = Callable[[Transmission], Iterable[Delivery] | ErrorFrame]
+FrameFilter = Callable[[Transmission], Iterable[BusFrame] | ErrorFrame]
 """Called once per transmission, when its start is certain, in order of time.
 
 Returns what arrives and when: `transmission.delivered()`; nothing, for a frame that is lost without
-anybody noticing; a Delivery with other bytes, for corruption that passes the CRC; a later
+anybody noticing; a BusFrame with other bytes, for corruption that passes the CRC; a later
 `arrival_ns`, for a delay; further Deliveries, for insertion. No arrival is before `end_ns`.
 Or an ErrorFrame, for corruption that is detected. The time that the frame took on the bus does not
 depend on the answer except by an ErrorFrame."""
@@ -94,35 +94,12 @@ class BusStatistics:
     dropped_bus_off: int = 0
     dropped_full: int = 0
     busy_ns: int = 0
-    sent: Counter[int] = field(default_factory=Counter)
-    longest_wait_ns: dict[int, int] = field(default_factory=dict)
+    sent: dict[int, int] = field(default_factory=lambda: defaultdict(int))
+    longest_wait_ns: dict[int, int] = field(default_factory=lambda: defaultdict(int))
 
 
-class _Ready(NamedTuple):
-    """A released frame; the order of the fields is the order of the bus."""
-
-    can_id: int
-    queued_ns: int
-    serial: int
-    frame: Frame
-    sender: str
-    attempt: int
-
-
-_Entry = TypeVar("_Entry", bound=tuple[Any, ...])
-
-
-def overwritten(ready: list[_Entry], entry: _Entry) -> bool:
-    """Replace the frame that waits in its sender's mailbox; return False when none does.
-
-    `ready` is a heap whose entries begin as `_Ready`'s do.
-    """
-    for index, other in enumerate(ready):
-        if other[0] == entry[0] and other[4] == entry[4]:
-            ready[index] = entry
-            heapify(ready)
-            return True
-    return False
+_Ready = tuple[int, int, int, Frame, str, int]
+"""A released frame in the order of the bus: identifier, released [ns], serial, frame, sender, attempt."""
 
 
 class BusModel:
@@ -159,8 +136,8 @@ class BusModel:
         self._free_ns = 0
         self._released_later: list[tuple[int, int, Frame, str]] = []
         self._ready: list[_Ready] = []
-        self._arriving: list[tuple[int, int, Delivery]] = []
-        self._waiting: Counter[str] = Counter()
+        self._arriving: list[tuple[int, int, BusFrame]] = []
+        self._waiting: dict[str, int] = defaultdict(int)
         self._serial = 0
 
     @property
@@ -188,7 +165,7 @@ class BusModel:
         self._serial += 1
         heappush(self._released_later, (release_ns, self._serial, frame, sender))
 
-    def advance(self, until_ns: int) -> list[Delivery]:
+    def advance(self, until_ns: int) -> list[BusFrame]:
         """Return all frames that arrive up to and at `until_ns`, in order of arrival.
 
         The frame that starts at `until_ns` itself is chosen by the next call, when all frames
@@ -198,8 +175,8 @@ class BusModel:
         released_later, ready = self._released_later, self._ready
         while ready or released_later:
             start_ns = self._free_ns
-            if not ready:
-                start_ns = max(start_ns, released_later[0][0])
+            if not ready and released_later[0][0] > start_ns:
+                start_ns = released_later[0][0]
             if start_ns >= until_ns:
                 break
             while released_later and released_later[0][0] <= start_ns:
@@ -209,7 +186,7 @@ class BusModel:
             if ready:
                 self._send(start_ns, heappop(ready))
         arriving = self._arriving
-        arrived: list[Delivery] = []
+        arrived: list[BusFrame] = []
         while arriving and arriving[0][0] <= until_ns:
             arrived.append(heappop(arriving)[2])
         return arrived
@@ -218,35 +195,39 @@ class BusModel:
         if self._is_off is not None and self._is_off(sender, release_ns):
             self._drop(sender)
             return
-        entry = _Ready(frame.can_id, release_ns, serial, frame, sender, 1)
-        ready = self._ready
-        if ready and frame.can_id in self._mailboxes and overwritten(ready, entry):
-            self.statistics.overwritten += 1
-            self._waiting[sender] -= 1
-        else:
-            heappush(ready, entry)
+        entry = (frame.can_id, release_ns, serial, frame, sender, 1)
+        if frame.can_id in self._mailboxes:
+            for index, waiting in enumerate(self._ready):
+                if waiting[0] == entry[0] and waiting[4] == sender:
+                    self._ready[index] = entry
+                    heapify(self._ready)
+                    self.statistics.overwritten += 1
+                    self._waiting[sender] -= 1
+                    return
+        heappush(self._ready, entry)
 
     def _drop(self, sender: str) -> None:
         self.statistics.dropped_bus_off += 1
         self._waiting[sender] -= 1
 
     def _drop_senders_off(self, now_ns: int, is_off: IsOff) -> None:
-        off = {sender for sender in {e.sender for e in self._ready} if is_off(sender, now_ns)}
+        off = {sender for sender in {entry[4] for entry in self._ready} if is_off(sender, now_ns)}
         for entry in self._ready:
-            if entry.sender in off:
-                self._drop(entry.sender)
+            if entry[4] in off:
+                self._drop(entry[4])
         if off:
-            self._ready[:] = sorted(entry for entry in self._ready if entry.sender not in off)
+            self._ready[:] = sorted(entry for entry in self._ready if entry[4] not in off)
 
     def _send(self, start_ns: int, entry: _Ready) -> None:
-        can_id, queued_ns, _, frame, sender, attempt = entry
+        can_id, released_ns, _, frame, sender, attempt = entry
         bits = frame_bits(can_id, frame.data)
         end_ns = start_ns + bits * self.bit_ns
         self._free_ns = end_ns + INTERMISSION_BITS * self.bit_ns
+        statistics = self.statistics
         if self._filter is None:
-            self._arrive(Delivery(end_ns, frame, sender, queued_ns))
+            self._arrive(BusFrame(released_ns, end_ns, sender, frame))
         else:
-            sent = Transmission(start_ns, end_ns, frame, sender, queued_ns, attempt)
+            sent = Transmission(start_ns, end_ns, frame, sender, released_ns, attempt)
             verdict = self._filter(sent)
             if isinstance(verdict, ErrorFrame):
                 self._reject(start_ns, bits, entry, verdict)
@@ -254,17 +235,16 @@ class BusModel:
             deliveries = tuple(verdict)
             for delivery in deliveries:
                 self._arrive(delivery)
-            self.statistics.lost += not deliveries
+            statistics.lost += not deliveries
         self._waiting[sender] -= 1
-        statistics = self.statistics
         statistics.frames += 1
         statistics.busy_ns += self._free_ns - start_ns
         statistics.sent[can_id] += 1
-        wait_ns = end_ns - queued_ns
-        if wait_ns > statistics.longest_wait_ns.get(can_id, 0):
+        wait_ns = end_ns - released_ns
+        if wait_ns > statistics.longest_wait_ns[can_id]:
             statistics.longest_wait_ns[can_id] = wait_ns
 
-    def _arrive(self, delivery: Delivery) -> None:
+    def _arrive(self, delivery: BusFrame) -> None:
         self._serial += 1
         heappush(self._arriving, (delivery.arrival_ns, self._serial, delivery))
 
@@ -274,6 +254,6 @@ class BusModel:
         self.statistics.error_frames += 1
         self.statistics.busy_ns += self._free_ns - start_ns
         if error.retransmit:
-            heappush(self._ready, entry._replace(attempt=entry.attempt + 1))
+            heappush(self._ready, (*entry[:5], entry[5] + 1))
         else:
-            self._waiting[entry.sender] -= 1
+            self._waiting[entry[4]] -= 1

@@ -19,7 +19,7 @@ from can_dbc.contract import contract
 from can_dbc.e2e import COUNTERS, PROTECTED, with_counter
 from can_dbc.errors import InputError
 from can_dbc.frame import EDP_BIT, PAGE_BITS, Frame
-from sil.coupling.bus import Delivery, ErrorFrame, Transmission
+from sil.coupling.bus import BusFrame, ErrorFrame, Transmission
 from sil.coupling.clock import NEVER_NS, to_ns
 from sil.coupling.other_bit_rate import MisfitNode, Window
 
@@ -212,8 +212,8 @@ class _Selection:
             return False
         if transmission.attempt > 1 and isinstance(self.fault, DetectedCorruption):
             if transmission.attempt > self.fault.attempts:
-                self._hit_first.discard(transmission.queued_ns)
-            return transmission.queued_ns in self._hit_first
+                self._hit_first.discard(transmission.released_ns)
+            return transmission.released_ns in self._hit_first
         if not self._window.holds(transmission.start_ns):
             return False
         if self.fault.count is not None and self.hits >= self.fault.count:
@@ -224,12 +224,12 @@ class _Selection:
         return bool(self.fault.probability >= 1.0 or self._random.random() < self.fault.probability)
 
     def apply(
-        self, transmission: Transmission, deliveries: Sequence[Delivery]
-    ) -> Sequence[Delivery] | ErrorFrame:
+        self, transmission: Transmission, deliveries: Sequence[BusFrame]
+    ) -> Sequence[BusFrame] | ErrorFrame:
         fault, draw = self.fault, self._random
         self.hits += 1
         if isinstance(fault, DetectedCorruption):
-            self._hit_first.add(transmission.queued_ns)
+            self._hit_first.add(transmission.released_ns)
             return ErrorFrame()
         if isinstance(fault, Loss):
             return ()
@@ -291,7 +291,7 @@ class FaultPlan:
         """Whether the bus model needs `frame_filter`."""
         return bool(self._selections or self._off or self._misfits)
 
-    def frame_filter(self, transmission: Transmission) -> Iterable[Delivery] | ErrorFrame:
+    def frame_filter(self, transmission: Transmission) -> Iterable[BusFrame] | ErrorFrame:
         """Decide what arrives of one transmission; a `sil.coupling.bus.FrameFilter`."""
         for node, window in self._off:
             began = transmission.start_ns < window.start_ns <= transmission.end_ns
@@ -300,7 +300,7 @@ class FaultPlan:
         for misfit in self._misfits:
             if error := misfit.verdict(transmission):
                 return error
-        deliveries: Sequence[Delivery] = transmission.delivered()
+        deliveries: Sequence[BusFrame] = transmission.delivered()
         for selection in self._selections:
             if not selection.picks(transmission):
                 continue

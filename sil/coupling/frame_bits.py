@@ -96,6 +96,7 @@ def _after_header(can_id: int, length: int, extended: bool) -> tuple[int, int, i
     return crc15(header, count), state, inserted, count + 8 * length + CRC_BITS + TAIL_BITS
 
 
+@lru_cache(maxsize=1 << 15)
 def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
     """Return the bits of a data frame from start of frame to end of frame, stuff bits included.
 

@@ -14,7 +14,7 @@ from sil.coupling.transports.channel import NOBODY, Channel, InProcess, Particip
 from sil.coupling.transports.wire import can_be_offered
 
 if TYPE_CHECKING:
-    from sil.coupling.bus import BusModel, Delivery
+    from sil.coupling.bus import BusFrame, BusModel
     from sil.coupling.faults import FaultPlan
 
 TURN_ORDER = ("driver", "controller", "plant")
@@ -51,7 +51,7 @@ class Lockstep:
         channels: Sequence[Channel],
         end_ns: int,
         *,
-        record: Callable[[list[Delivery]], None],
+        record: Callable[[list[BusFrame]], None],
         outages: FaultPlan | None = None,
         pacer: Pacer | None = None,
         order: Sequence[str] = TURN_ORDER,
@@ -144,16 +144,16 @@ class Lockstep:
         if self._pacer is not None:
             self._pacer.wait(now_ns, self._idle)
         self.now_ns = now_ns
+        turns: dict[str, Turn] = {}
         for channel in self._channels:
             channel.begin_turn(now_ns, due)
-        turns: dict[str, Turn] = {}
         for channel in self._channels:
             turns.update(channel.end_turn())
         for name in due:
             self._take(name, now_ns, turns[name])
         self._turns += len(due)
 
-    def _deliver(self, deliveries: list[Delivery]) -> None:
+    def _deliver(self, deliveries: list[BusFrame]) -> None:
         if self._pacer is None and self._outages is None:
             for channel in self._channels:
                 channel.deliver(deliveries)

@@ -176,7 +176,7 @@ class PlantSide:
         while self._others and self._others[0][0] <= until_ns:
             begun_ns, frame, sender = self._others.popleft()
             bus.queue(max(begun_ns, bus.now_ns), frame, sender)
-        for arrival_ns, frame, sender, _ in bus.advance(until_ns):
+        for _released_ns, arrival_ns, sender, frame in bus.advance(until_ns):
             kind = OWN_IDS.get(frame.can_id)
             if kind in INPUTS:
                 self._for_unit.append((arrival_ns, frame))

@@ -16,7 +16,7 @@ from can_dbc.frame import Frame
 from sil.recording.run_record import STORED
 
 if TYPE_CHECKING:
-    from sil.coupling.bus import Delivery
+    from sil.coupling.bus import BusFrame
 
 BUS_LOG, BUS_FRAMES = "bus.log", "bus.frames"
 PLANT_TRACE, EVENTS = "plant.trace", "events.jsonl"
@@ -67,7 +67,7 @@ class BusLog(AppendedFile):
         self._hash = hashlib.sha256()
         self.frames = 0
 
-    def record(self, deliveries: Sequence[Delivery]) -> None:
+    def record(self, deliveries: Sequence[BusFrame]) -> None:
         """Append the frames delivered in one step."""
         lines = []
         for delivery in deliveries:
@@ -94,13 +94,13 @@ class FrameWriter(AppendedFile):
         super().__init__(path)
         self._number = {name: number for number, name in enumerate(senders)}
 
-    def record(self, deliveries: Sequence[Delivery]) -> None:
+    def record(self, deliveries: Sequence[BusFrame]) -> None:
         """Append the frames delivered in one step."""
         pack, number = STORED.pack, self._number
         self.append(
             b"".join(
-                pack(queued_ns, arrival_ns, can_id, len(data), number[sender], data)
-                for arrival_ns, (can_id, data), sender, queued_ns in deliveries
+                pack(released_ns, arrival_ns, can_id, len(data), number[sender], data)
+                for released_ns, arrival_ns, sender, (can_id, data) in deliveries
             )
         )
 

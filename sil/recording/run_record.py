@@ -6,7 +6,7 @@ import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +15,13 @@ from can_dbc import codec
 from can_dbc.errors import CodecError
 from can_dbc.frame import Frame
 from can_dbc.messages import ControllerStatus
+from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
 
 Floats = NDArray[np.float64]
 M = TypeVar("M")
 
 CHAMBERS = ("B", "N", "F")
-
-
-class BusFrame(NamedTuple):
-    """One frame as it crossed the bus: released by its sender, arrived at everybody else."""
-
-    released_ns: int
-    arrival_ns: int
-    sender: str
-    frame: Frame
 
 
 STORED = struct.Struct("<QQIBB8s")

@@ -205,10 +205,15 @@ def warm_up(loaded: Loaded) -> None:
 
 
 @functools.cache
-def received(name: str) -> tuple[int, ...]:
-    """Return the identifiers of the messages that a participant receives by the DBC, at least one."""
-    nodes = {node for node, participant in PARTICIPANT.items() if participant == name}
-    return tuple(s.can_id for s in contract().values() if nodes & s.receivers) or (0,)
+def received() -> dict[str, frozenset[int]]:
+    """Return the identifiers that each participant of the DBC receives, by its name."""
+    nodes: dict[str, set[str]] = {}
+    for node, participant in PARTICIPANT.items():
+        nodes.setdefault(participant, set()).add(node)
+    return {
+        name: frozenset(s.can_id for s in contract().values() if own_nodes & s.receivers)
+        for name, own_nodes in nodes.items()
+    }
 
 
 def participant_names(scenario: Scenario) -> tuple[str, ...]:
@@ -261,7 +266,8 @@ def open_channels(
             raise InputError(
                 "--external: not with --transport inproc; expected local or a CAN interface"
             )
-        return [InProcess([make_participant(name, loaded, folder) for name in names])]
+        here = [make_participant(name, loaded, folder) for name in names]
+        return [InProcess(here, received())]
     if "plant" not in external:
         from plant.kernel.compiled import is_warm
 
@@ -289,7 +295,7 @@ def open_channels(
         elif command := node_command(name, channel, folder, external, say):
             remote.spawn(name, command)
     here = [make_participant(name, loaded, folder) for name in names if name not in remote_names]
-    return [remote, InProcess(here)]
+    return [remote, InProcess(here, received())]
 
 
 def channel_of(transport: str) -> tuple[str, str | None]:

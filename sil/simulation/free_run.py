@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
-from sil.coupling.bus import Delivery
+from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S, to_ns
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.coupling.free_running import FreeNode, frame_of, open_bus
@@ -99,7 +99,7 @@ class FreeRun:
             ):
                 self._children.append(ChildProcess(participant, command))
 
-    def run(self, record: Callable[[list[Delivery]], None]) -> RunSummary:
+    def run(self, record: Callable[[list[BusFrame]], None]) -> RunSummary:
         """Wait until plant and controller are on the bus, then run; `record` receives each frame.
 
         Raises ParticipantLost when one does not come or its process ends.
@@ -176,7 +176,7 @@ class FreeRun:
         later = [replace(each, at_s=each.at_s + SETTLING_S) for each in scenario.request]
         loaded = dataclasses.replace(self._loaded, scenario=replace(scenario, request=later))
         participant = build.make_participant(name, loaded, self._folder)
-        bus = open_bus(self._channel, receives=build.received(name))
+        bus = open_bus(self._channel, receives=tuple(build.received()[name]))
         self._closing.callback(bus.shutdown)
         node = FreeNode(participant, bus, catches_up=False)
         self._nodes.append(self._threads.submit(node.run, self._stop))
@@ -191,7 +191,7 @@ class FreeRun:
             child.end(_END_S)
         self._children.clear()
 
-    def _deliveries(self, duration_ns: int) -> list[Delivery]:
+    def _deliveries(self, duration_ns: int) -> list[BusFrame]:
         """Return the frames that have arrived, of those within the duration of the run."""
         found = []
         while (message := self._bus.recv(0.0)) is not None:
@@ -199,7 +199,7 @@ class FreeRun:
             frame = frame_of(message)
             if frame is not None and 0 <= arrival_ns < duration_ns:
                 sender = _SENDERS.get(frame.can_id, GUEST)
-                found.append(Delivery(arrival_ns, frame, sender, arrival_ns))
+                found.append(BusFrame(arrival_ns, arrival_ns, sender, frame))
                 self._bits += frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
                 self._arrivals[frame.can_id].append(arrival_ns)
         return found

@@ -7,7 +7,7 @@ Checked by: tests/unit/sil/simulation/test_in_memory.py
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sil.coupling.bus import Delivery
+from sil.coupling.bus import BusFrame
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep
-from sil.coupling.transports.channel import InProcess, Participant
+from sil.coupling.transports.channel import InProcess
 from sil.files.html_table import html_table
 from sil.files.quantity import counted, quantity
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
-from sil.recording.run_record import BusFrame, Floats, PlantEvent, RunRecord
+from sil.recording.run_record import Floats, PlantEvent, RunRecord
 from sil.simulation import build, metrics
-from sil.simulation.closed_loop_kernel import run_quickly
 from sil.simulation.expectations import Observed, evaluate
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check
@@ -144,12 +143,17 @@ def run_in_memory(loaded: Loaded) -> Run:
         node if name == "plant" else build.make_participant(name, loaded, Path())
         for name in build.participant_names(scenario)
     ]
-    end_ns = to_ns(scenario.duration_s)
-    if scenario.fault or scenario.bus.send_buffer is not None:
-        frames = _coordinated(participants, scenario, end_ns)
-    else:
-        boxes = build.mailboxes(scenario)
-        frames = run_quickly(participants, scenario.bus.bitrate, end_ns, boxes)
+    plan = FaultPlan(scenario.fault, scenario.seed)
+    frames: list[BusFrame] = []
+    with Lockstep(
+        build.make_bus(scenario, plan),
+        [InProcess(participants, build.received())],
+        to_ns(scenario.duration_s),
+        record=frames.extend,
+        outages=plan if scenario.fault else None,
+        order=build.SENDERS,
+    ) as lockstep:
+        lockstep.run()
     rows = np.concatenate(trace)
     columns = trace_columns(scenario.plant.drive)
     record = RunRecord(
@@ -163,22 +167,3 @@ def run_in_memory(loaded: Loaded) -> Run:
     switchings = metrics.valve_switchings(record)
     figures = metrics.summary(found, balances.get("air_in_kg"), switchings, len(frames))
     return Run(scenario, record, found, figures, balances, rows)
-
-
-def _coordinated(
-    participants: Sequence[Participant], scenario: Scenario, end_ns: int
-) -> list[BusFrame]:
-    """Run participants on a bus on which something can go wrong, as `opc4 run` does."""
-    plan = FaultPlan(scenario.fault, scenario.seed)
-    bus = build.make_bus(scenario, plan)
-    frames: list[BusFrame] = []
-
-    def record(deliveries: list[Delivery]) -> None:
-        frames.extend(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries)
-
-    channels = [InProcess(participants)]
-    with Lockstep(
-        bus, channels, end_ns, record=record, outages=plan, order=build.SENDERS
-    ) as lockstep:
-        lockstep.run()
-    return frames

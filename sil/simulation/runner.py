@@ -15,7 +15,7 @@ import msgspec
 
 from can_dbc.errors import InputError, RunError, os_error_text
 from can_dbc.messages import Gear
-from sil.coupling.bus import Delivery
+from sil.coupling.bus import BusFrame
 from sil.coupling.clock import to_ns, to_seconds
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
@@ -104,7 +104,7 @@ def run(
             frames = closing.enter_context(FrameWriter(folder / BUS_FRAMES, SENDERS))
             progress = closing.enter_context(Progress(scenario.name, "s simulated"))
 
-            def record(deliveries: list[Delivery]) -> None:
+            def record(deliveries: list[BusFrame]) -> None:
                 log.record(deliveries)
                 frames.record(deliveries)
                 progress(to_seconds(deliveries[-1].arrival_ns), scenario.duration_s)

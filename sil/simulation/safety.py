@@ -26,9 +26,10 @@ import numpy as np
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
 from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveCommand
+from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.faults import BusOff, Dead, Delay, Stalled
-from sil.recording.run_record import CHAMBERS, BusFrame, RunRecord
+from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.recording.runs import longest_run
 from sil.simulation.metrics import OPEN_ABOVE, gear_at, gear_position_m
 from sil.simulation.scenario import FAULT_TABLES, Scenario

@@ -133,7 +133,7 @@ def test_jitter_is_the_distance_from_the_period() -> None:
 
 
 def test_participants_receive_what_the_dbc_says() -> None:
-    names = {OWN_IDS[can_id].__name__ for can_id in received("controller") if can_id in OWN_IDS}
+    names = {OWN_IDS[can_id].__name__ for can_id in received()["controller"] if can_id in OWN_IDS}
     assert names == {"ShiftRequest", "PositionPulse", "DrivelineSpeeds"}
     names = {OWN_IDS[can_id].__name__ for can_id in received("plant") if can_id in OWN_IDS}
     assert names == {"ValveCommand", "SafetyBlow"}

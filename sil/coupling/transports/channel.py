@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 
 if TYPE_CHECKING:
-    from sil.coupling.bus import Delivery
+    from sil.coupling.bus import BusFrame
 
 
 NOBODY: frozenset[str] = frozenset()
@@ -103,7 +104,7 @@ class Channel(ABC):
         """
 
     @abstractmethod
-    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
         """Pass on frames, in order of arrival, to all but their senders and those in `bus_off`."""
 
     @abstractmethod
@@ -130,11 +131,17 @@ class Channel(ABC):
 class InProcess(Channel):
     """A `Channel` to participants in this process."""
 
-    def __init__(self, participants: Sequence[Participant]) -> None:
-        """Take the participants."""
+    def __init__(
+        self,
+        participants: Sequence[Participant],
+        received: Mapping[str, Container[int]] = MappingProxyType({}),
+    ) -> None:
+        """Take the participants; received: identifiers by participant, one that is absent gets all."""
         super().__init__([participant.name for participant in participants])
         self._participants = {participant.name: participant for participant in participants}
         self._inboxes: dict[str, list[tuple[int, Frame]]] = {name: [] for name in self.names}
+        self._received = received
+        self._receivers: dict[int, list[str]] = {}
         self._turns: dict[str, Turn] = {}
         self._closed = False
 
@@ -142,11 +149,23 @@ class InProcess(Channel):
         """Start the participants."""
         return {name: participant.start() for name, participant in self._participants.items()}
 
-    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
         """Queue frames for the participants."""
-        for name, inbox in self._inboxes.items():
-            if name not in bus_off:
-                inbox.extend((d.arrival_ns, d.frame) for d in deliveries if d.sender != name)
+        inboxes, receivers = self._inboxes, self._receivers
+        for _released_ns, arrival_ns, sender, frame in deliveries:
+            names = receivers.get(frame.can_id)
+            if names is None:
+                names = receivers[frame.can_id] = self._receivers_of(frame.can_id)
+            for name in names:
+                if name != sender and name not in bus_off:
+                    inboxes[name].append((arrival_ns, frame))
+
+    def _receivers_of(self, can_id: int) -> list[str]:
+        return [
+            name
+            for name in self._inboxes
+            if name not in self._received or can_id in self._received[name]
+        ]
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Run the turns.  Raises ParticipantLost for one that fails; InputError and RunError pass."""
@@ -170,6 +189,7 @@ class InProcess(Channel):
     def retire(self, name: str) -> None:
         """Drop a participant."""
         self._inboxes.pop(name, None)
+        self._receivers.clear()
 
     def idle(self, seconds: float) -> None:
         """Sleep."""

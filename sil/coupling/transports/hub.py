@@ -15,7 +15,7 @@ from sil.coupling.transports.server import Connection
 from sil.coupling.transports.wire import Kind, Refusal
 
 if TYPE_CHECKING:
-    from sil.coupling.bus import Delivery
+    from sil.coupling.bus import BusFrame
 
 _FLUSH_RECORDS = 512
 
@@ -33,11 +33,11 @@ class Hub(RemoteChannel):
         self.where = f"--channel local:{channel}"
         self._deadline = 0.0
 
-    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
         """Send frames to monitors, and queue them for the participants."""
         delivered: list[bytes] = []
         receiving = [p for p in self._peers.values() if not p.retired and p.name not in bus_off]
-        for arrival_ns, frame, sender, _ in deliveries:
+        for _released_ns, arrival_ns, sender, frame in deliveries:
             number = wire.PARTICIPANTS.get(sender, wire.NOBODY)
             records = wire.announced(number, arrival_ns, frame)
             delivered.append(records)

@@ -18,7 +18,7 @@ from sil.coupling.transports.server import Connection
 from sil.coupling.transports.wire import Kind
 
 if TYPE_CHECKING:
-    from sil.coupling.bus import Delivery
+    from sil.coupling.bus import BusFrame
 
 _SO_RCVBUFFORCE = 33
 _SO_RXQ_OVFL = 40
@@ -152,7 +152,7 @@ class SocketCan(RemoteChannel):
         self._speaker: Peer | None = None
         self._attend(self._can.fileno(), self._read)
 
-    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
         """Send frames, each after its BusTime."""
         for delivery in deliveries:
             for name in bus_off & self._by_name.keys():

@@ -22,9 +22,9 @@ from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
 from plant.parts.flow import charge
 from plant.systems.stroke import simulate
+from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import frame_bits
-from sil.recording.run_record import BusFrame
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded

@@ -41,7 +41,7 @@ INTO_F = ValveCommand(0.0, 0.0, 0.98, Gear.FORWARD)
 INTO_N = ValveCommand(0.0, 0.98, 0.0, Gear.NEUTRAL)
 NO_BLOW = SafetyBlow(Chamber.NONE, False, 0.0)
 
-Delivery = tuple[int, Frame]
+BusFrame = tuple[int, Frame]
 Commands = list[tuple[int, ValveCommand]]
 SHIFT_TO_B: Commands = [(0, OFF), (40, INTO_B), (240, OFF)]
 
@@ -69,7 +69,7 @@ class Run:
         end_ms: float,
         blow: SafetyBlow = NO_BLOW,
         last_tick_ms: float = 1e9,
-        tamper: Callable[[list[Delivery]], None] | None = None,
+        tamper: Callable[[list[BusFrame]], None] | None = None,
         extra_grants_ns: tuple[int, ...] = (),
         rows_at_once: int = 1,
     ) -> None:
@@ -82,7 +82,7 @@ class Run:
             lambda *e: self.events.append(e),
             trace_rows_at_once=rows_at_once,
         )
-        self.released: list[Delivery] = []
+        self.released: list[BusFrame] = []
         end_ns = round(end_ms * MS)
         inbox = self._frames(commands, min(end_ns, round(last_tick_ms * MS)), blow)
         if tamper is not None:
@@ -101,7 +101,7 @@ class Run:
         self.node.close()
 
     @staticmethod
-    def _frames(commands: Commands, end_ns: int, blow: SafetyBlow) -> list[Delivery]:
+    def _frames(commands: Commands, end_ns: int, blow: SafetyBlow) -> list[BusFrame]:
         valves, blows = Protector(ValveCommand), Protector(SafetyBlow)
         frames = []
         for tick_ns in range(0, end_ns + 1, 10 * MS):
@@ -274,7 +274,7 @@ def test_dead_controller_closes_the_valve_at_the_stated_instant() -> None:
 
 
 def test_pulse_shorter_than_the_opening_delay_moves_nothing() -> None:
-    def retract(frames: list[Delivery]) -> None:
+    def retract(frames: list[BusFrame]) -> None:
         frames[10] = (frames[10][0] - 3 * MS, frames[10][1])
 
     run = Run(PlantConfig(), [(0, OFF), (40, INTO_B), (50, OFF)], 120, tamper=retract)
@@ -451,7 +451,7 @@ def test_valves_move_at_the_same_instants_however_often_time_is_granted(grants: 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 59), st.binary(max_size=8)), min_size=1, max_size=20))
 def test_damaged_frames_never_move_a_wrong_valve(damage: list[tuple[int, bytes]]) -> None:
-    def tamper(frames: list[Delivery]) -> None:
+    def tamper(frames: list[BusFrame]) -> None:
         for index, data in damage:
             t, frame = frames[index]
             if data != frame.data:

@@ -16,7 +16,8 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from sil.recording.run_record import BusFrame, PlantEvent, RunRecord
+from sil.coupling.bus import BusFrame
+from sil.recording.run_record import PlantEvent, RunRecord
 
 MS = 1_000_000
 STROKE = 0.01285

@@ -24,7 +24,7 @@ FULL = ValveCommand(1.0, 0.0, 0.5, Gear.BACKWARD)
 FIRST = range(0, 20, 10)
 BLOWN = (0.0, 0.98, 0.0)
 
-Delivery = tuple[int, Frame]
+BusFrame = tuple[int, Frame]
 Part = tuple[range | int, ValveCommand, SafetyBlow]
 
 
@@ -37,7 +37,7 @@ class Controller:
 
     def tick(
         self, t_ms: int, command: ValveCommand = PUSH_B, blow: SafetyBlow = NO_BLOW
-    ) -> list[Delivery]:
+    ) -> list[BusFrame]:
         return [
             (t_ms * MS + 300_000, self.commands.protect(command)),
             (t_ms * MS + 500_000, self.blows.protect(blow)),
@@ -45,7 +45,7 @@ class Controller:
 
     def ticks(
         self, times: range, command: ValveCommand = PUSH_B, blow: SafetyBlow = NO_BLOW
-    ) -> list[Delivery]:
+    ) -> list[BusFrame]:
         return [frame for t in times for frame in self.tick(t, command, blow)]
 
 

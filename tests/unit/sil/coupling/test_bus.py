@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
-from sil.coupling.bus import BusModel, Delivery, ErrorFrame, Transmission
+from sil.coupling.bus import BusFrame, BusModel, ErrorFrame, Transmission
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 
 BIT = 2_000
@@ -36,7 +36,7 @@ def test_one_frame_arrives_at_the_end_of_its_frame() -> None:
     end_ns = 1_000 + duration_ns(USUAL)
     assert bus.advance(end_ns - 1) == []
     assert bus.waiting == 0
-    assert bus.advance(end_ns) == [Delivery(end_ns, USUAL, "plant", 1_000)]
+    assert bus.advance(end_ns) == [BusFrame(1_000, end_ns, "plant", USUAL)]
     assert bus.advance(end_ns + 10**9) == []
 
 
@@ -127,9 +127,9 @@ offers = st.lists(
 instants = st.lists(st.integers(0, 12_000_000), max_size=12)
 
 
-def run(bus: BusModel, sent: Sequence[Offer], stops: Sequence[int]) -> list[Delivery]:
+def run(bus: BusModel, sent: Sequence[Offer], stops: Sequence[int]) -> list[BusFrame]:
     """Queue each frame at the latest stop before its release, and advance from stop to stop."""
-    arrived: list[Delivery] = []
+    arrived: list[BusFrame] = []
     left = sorted(enumerate(sent), key=lambda item: item[1].release_ns)
     previous_ns = 0
     for stop_ns in [*sorted(stops), 60_000_000]:
@@ -148,7 +148,7 @@ def run(bus: BusModel, sent: Sequence[Offer], stops: Sequence[int]) -> list[Deli
 def test_arbitration(sent: list[Offer], stops: list[int]) -> None:
     arrived = run(BusModel(), sent, stops)
     # Everything arrives once, as it was sent.
-    assert sorted((d.sender, d.queued_ns, d.frame) for d in arrived) == sorted(
+    assert sorted((d.sender, d.released_ns, d.frame) for d in arrived) == sorted(
         (str(number), offer.release_ns, offer.frame) for number, offer in enumerate(sent)
     )
     waiting = {str(number): offer for number, offer in enumerate(sent)}
@@ -162,7 +162,7 @@ def test_arbitration(sent: list[Offer], stops: list[int]) -> None:
         # The most urgent of those released goes first.
         competing = [offer for offer in waiting.values() if offer.release_ns <= start_ns]
         assert delivery.frame.can_id == min(offer.frame.can_id for offer in competing)
-        assert delivery.queued_ns == min(
+        assert delivery.released_ns == min(
             offer.release_ns for offer in competing if offer.frame.can_id == delivery.frame.can_id
         )
         del waiting[delivery.sender]
@@ -224,7 +224,7 @@ def test_statistics_and_load() -> None:
 
 
 def test_lost_delayed_corrupted_and_inserted_frames() -> None:
-    def judge(sent: Transmission) -> tuple[Delivery, ...]:
+    def judge(sent: Transmission) -> tuple[BusFrame, ...]:
         (perfect,) = sent.delivered()
         number = sent.frame.data[0]
         if number == 0:
@@ -233,7 +233,7 @@ def test_lost_delayed_corrupted_and_inserted_frames() -> None:
             return (perfect._replace(arrival_ns=sent.end_ns + 5_000_000),)
         if number == 2:
             return (perfect._replace(frame=Frame(sent.frame.can_id, b"wrong")),)
-        return (perfect, Delivery(sent.end_ns + 7, Frame(9, b"inserted"), "stranger", 0))
+        return (perfect, BusFrame(0, sent.end_ns + 7, "stranger", Frame(9, b"inserted")))
 
     bus = BusModel(frame_filter=judge)
     frames = [Frame(0x100 + number, bytes([number])) for number in range(4)]
@@ -245,11 +245,11 @@ def test_lost_delayed_corrupted_and_inserted_frames() -> None:
         ends.append(free_ns + duration_ns(frame))
         free_ns = ends[-1] + GAP
     assert bus.advance(4_000_000) == [
-        Delivery(ends[2], Frame(0x102, b"wrong"), "a", 0),
-        Delivery(ends[3], frames[3], "a", 0),
-        Delivery(ends[3] + 7, Frame(9, b"inserted"), "stranger", 0),
+        BusFrame(0, ends[2], "a", Frame(0x102, b"wrong")),
+        BusFrame(0, ends[3], "a", frames[3]),
+        BusFrame(0, ends[3] + 7, "stranger", Frame(9, b"inserted")),
     ]
-    assert bus.advance(10_000_000) == [Delivery(ends[1] + 5_000_000, frames[1], "a", 0)]
+    assert bus.advance(10_000_000) == [BusFrame(0, ends[1] + 5_000_000, "a", frames[1])]
     assert bus.statistics.lost == 1
     assert bus.statistics.frames == 4
 
@@ -257,7 +257,7 @@ def test_lost_delayed_corrupted_and_inserted_frames() -> None:
 def test_what_the_filter_sees() -> None:
     seen: list[Transmission] = []
 
-    def judge(sent: Transmission) -> tuple[Delivery, ...] | ErrorFrame:
+    def judge(sent: Transmission) -> tuple[BusFrame, ...] | ErrorFrame:
         seen.append(sent)
         return ErrorFrame() if sent.attempt < 3 else sent.delivered()
 
@@ -271,7 +271,7 @@ def test_what_the_filter_sees() -> None:
         Transmission(start, start + duration_ns(USUAL), USUAL, "a", 100, attempt)
         for attempt, start in enumerate(starts, 1)
     ]
-    assert delivery == Delivery(starts[2] + duration_ns(USUAL), USUAL, "a", 100)
+    assert delivery == BusFrame(100, starts[2] + duration_ns(USUAL), "a", USUAL)
     statistics = bus.statistics
     assert (statistics.frames, statistics.error_frames, statistics.sent) == (
         3,
@@ -371,7 +371,7 @@ def test_newer_content_overwrites_what_its_sender_has_waiting_in_the_same_mailbo
     bus.queue(3, newest, "a")
     bus.queue(4, SLACK, "a")
     bus.queue(5, SLACK, "a")  # has no mailbox: both are sent
-    sent = [(d.frame, d.sender, d.queued_ns) for d in bus.advance(10**9)]
+    sent = [(d.frame, d.sender, d.released_ns) for d in bus.advance(10**9)]
     assert sent[0] == (USUAL, "a", 0)
     assert sent[1:3] == [(newer, "b", 2), (newest, "a", 3)]
     assert [entry[0] for entry in sent[3:]] == [SLACK, SLACK]
@@ -380,7 +380,7 @@ def test_newer_content_overwrites_what_its_sender_has_waiting_in_the_same_mailbo
 
 
 def test_what_is_overwritten_makes_room_in_the_buffer_and_is_not_sent_again() -> None:
-    def rejects_once(sent: Transmission) -> ErrorFrame | Sequence[Delivery]:
+    def rejects_once(sent: Transmission) -> ErrorFrame | Sequence[BusFrame]:
         return ErrorFrame() if sent.attempt == 1 and sent.frame == USUAL else sent.delivered()
 
     bus = BusModel(frame_filter=rejects_once, capacity=2, mailboxes={USUAL.can_id})

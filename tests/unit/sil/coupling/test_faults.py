@@ -13,7 +13,7 @@ from can_dbc.e2e import E2eStatus, Protector, Receiver
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from can_dbc.messages import Etc1, Gear, PositionPulse, ShiftRequest
-from sil.coupling.bus import BusModel, Delivery
+from sil.coupling.bus import BusFrame, BusModel
 from sil.coupling.clock import NEVER_NS
 from sil.coupling.faults import (
     BusFault,
@@ -35,7 +35,7 @@ PERIOD_NS = 10 * MS
 
 def run(
     faults: Sequence[BusFault], count: int = 100, seed: int = 1
-) -> tuple[list[Delivery], FaultPlan, BusModel]:
+) -> tuple[list[BusFrame], FaultPlan, BusModel]:
     """Send `count` protected requests by the driver and as many ETC1 by the controller."""
     plan = FaultPlan(faults, seed)
     bus = BusModel(500_000, frame_filter=plan.frame_filter, is_off=plan.is_off)
@@ -46,11 +46,11 @@ def run(
     return bus.advance((count + 1) * PERIOD_NS), plan, bus
 
 
-def of(deliveries: Sequence[Delivery], kind: type) -> list[Delivery]:
+def of(deliveries: Sequence[BusFrame], kind: type) -> list[BusFrame]:
     return [d for d in deliveries if d.frame.can_id == can_id_of(kind)]
 
 
-def statuses(deliveries: Sequence[Delivery]) -> list[E2eStatus]:
+def statuses(deliveries: Sequence[BusFrame]) -> list[E2eStatus]:
     receiver = Receiver(ShiftRequest)
     return [receiver.receive(d.arrival_ns, d.frame) for d in of(deliveries, ShiftRequest)]
 
@@ -69,7 +69,7 @@ def test_loss_takes_bus_time_and_nothing_else_is_touched() -> None:
     lost, plan, bus = run([Loss(message="ShiftRequest", every=3, start_s=0.1, end_s=0.4)])
     assert of(lost, Etc1) == of(CLEAN, Etc1)
     gone = [d for d in of(CLEAN, ShiftRequest) if d not in lost]
-    assert [d.queued_ns // PERIOD_NS for d in gone] == list(range(10, 40, 3))
+    assert [d.released_ns // PERIOD_NS for d in gone] == list(range(10, 40, 3))
     assert plan.hits == {0: 10} and bus.statistics.lost == 10
     assert statuses(lost).count(E2eStatus.OK_SOME_LOST) == 10
 
@@ -112,9 +112,9 @@ def test_a_detected_corruption_comes_again_after_an_error_frame() -> None:
 
 def test_an_undetected_corruption_flips_bits_that_e2e_sees() -> None:
     hit, plan, _ = run([UndetectedCorruption(message="ShiftRequest", every=2, bits=1)])
-    clean = {d.queued_ns: d for d in of(CLEAN, ShiftRequest)}
+    clean = {d.released_ns: d for d in of(CLEAN, ShiftRequest)}
     for number, found in enumerate(of(hit, ShiftRequest)):
-        before = clean[found.queued_ns]
+        before = clean[found.released_ns]
         assert found.arrival_ns == before.arrival_ns
         flipped = int.from_bytes(found.frame.data, "big") ^ int.from_bytes(before.frame.data, "big")
         assert flipped.bit_count() == (number + 1) % 2
@@ -150,8 +150,8 @@ def test_a_node_that_is_bus_off_neither_sends_nor_receives() -> None:
     start_ns, end_ns = 200 * MS + 400_000, 300 * MS
     off, plan, bus = run([BusOff(node="driver", start_s=0.2004, end_s=0.3)])
     assert of(off, Etc1)[:20] == of(CLEAN, Etc1)[:20]
-    gone = {d.queued_ns for d in of(CLEAN, ShiftRequest)} - {
-        d.queued_ns for d in of(off, ShiftRequest)
+    gone = {d.released_ns for d in of(CLEAN, ShiftRequest)} - {
+        d.released_ns for d in of(off, ShiftRequest)
     }
     assert gone == set(range(200 * MS, end_ns, PERIOD_NS)), "the one in transmission is cut off"
     assert bus.statistics.error_frames == 1 and bus.statistics.dropped_bus_off == 9
@@ -161,12 +161,12 @@ def test_a_node_that_is_bus_off_neither_sends_nor_receives() -> None:
 
 def test_a_node_on_another_bit_rate_disturbs_the_bus_until_it_is_bus_off() -> None:
     wrong, plan, bus = run([OtherBitRate(node="driver", start_s=0.2, end_s=0.9)])
-    sent = {d.queued_ns for d in of(wrong, ShiftRequest)}
+    sent = {d.released_ns for d in of(wrong, ShiftRequest)}
     assert {at for at in range(0, 1000 * MS, PERIOD_NS) if at not in sent} == set(
         range(200 * MS, 900 * MS, PERIOD_NS)
     )
     assert bus.statistics.error_frames == 15 + 32, "its error flags, then its own attempts"
-    assert {d.queued_ns for d in of(wrong, Etc1)} == {d.queued_ns for d in of(CLEAN, Etc1)}
+    assert {d.released_ns for d in of(wrong, Etc1)} == {d.released_ns for d in of(CLEAN, Etc1)}
     assert [d.arrival_ns for d in of(wrong, Etc1)] != [d.arrival_ns for d in of(CLEAN, Etc1)]
     assert plan.is_off("driver", 500 * MS) and not plan.is_off("controller", 500 * MS)
     assert plan.bus_off(200 * MS) == {"driver"} and not plan.bus_off(900 * MS)
@@ -198,7 +198,7 @@ def test_faults_add_up_and_error_frames_come_first() -> None:
     hit, plan, bus = run(faults)
     assert plan.hits == {0: 50, 1: 100, 2: 100}
     assert bus.statistics.error_frames == 100
-    assert [d.queued_ns for d in of(hit, ShiftRequest)] == [
+    assert [d.released_ns for d in of(hit, ShiftRequest)] == [
         number * PERIOD_NS for number in range(1, 100, 2)
     ]
 

@@ -9,7 +9,7 @@ import pytest
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
-from sil.coupling.bus import BusModel, Delivery
+from sil.coupling.bus import BusFrame, BusModel
 from sil.coupling.clock import NEVER_NS
 from sil.coupling.lockstep import Lockstep
 from sil.coupling.real_time import Pacer
@@ -62,7 +62,7 @@ def bits(can_id: int) -> int:
 
 
 def lockstep(end_ns: int, *nodes: Node, pacer: Pacer | None = None) -> tuple[Lockstep, list]:
-    recorded: list[Delivery] = []
+    recorded: list[BusFrame] = []
     return (
         Lockstep(
             BusModel(1_000_000), [InProcess(nodes)], end_ns, record=recorded.extend, pacer=pacer

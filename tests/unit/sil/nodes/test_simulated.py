@@ -11,11 +11,11 @@ from can_dbc.e2e import E2eConfig, Protector, Receiver
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame, split_id
 from can_dbc.messages import E2eState, Gear, ShiftRequest
-from sil.coupling.bus import BusModel
+from sil.coupling.bus import BusFrame, BusModel
 from sil.coupling.faults import Babbling, Replayed, Sent, Spoofed, window_of
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.recording.end_to_end import EndToEnd
-from sil.recording.run_record import BusFrame, RunRecord
+from sil.recording.run_record import RunRecord
 from sil.simulation import load_scenario
 
 MS = 1_000_000

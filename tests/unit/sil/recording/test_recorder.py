@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
-from sil.coupling.bus import Delivery
+from sil.coupling.bus import BusFrame
 from sil.recording.recorder import BusLog, TraceWriter, trace_sha256
 from sil.recording.run_reader import open_trace
 
 COLUMNS = ("time_s", "position_m", "pressure_B_pa")
 
 
-def delivery(arrival_ns: int, can_id: int, payload: bytes) -> Delivery:
-    return Delivery(arrival_ns, Frame(can_id, payload), "plant", 0)
+def delivery(arrival_ns: int, can_id: int, payload: bytes) -> BusFrame:
+    return BusFrame(0, arrival_ns, "plant", Frame(can_id, payload))
 
 
 def test_lines_are_those_of_candump(tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ import pytest
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
-from sil.coupling.bus import Delivery
+from sil.coupling.bus import BusFrame
 from sil.recording import run_reader
 from sil.recording.recorder import EventLog, FrameWriter, TraceWriter
 from sil.recording.run_reader import RowReader, event_of, open_trace
-from sil.recording.run_record import STORED_FRAME, BusFrame, PlantEvent, StoredFrames
+from sil.recording.run_record import STORED_FRAME, PlantEvent, StoredFrames
 from sil.simulation import load_scenario, metrics, runner
 
 SENDERS = ("driver", "controller")
@@ -27,7 +27,7 @@ def written(path: Path) -> list[BusFrame]:
     ]
     with FrameWriter(path, SENDERS) as writer:
         for f in frames:
-            writer.record([Delivery(f.arrival_ns, f.frame, f.sender, f.released_ns)])
+            writer.record([f])
     return frames
 
 

@@ -12,7 +12,7 @@ import can
 import pytest
 
 from can_dbc.frame import Frame
-from sil.coupling.bus import Delivery
+from sil.coupling.bus import BusFrame
 from sil.coupling.transports import server, wire
 from sil.coupling.transports.hub import Hub
 from sil.coupling.transports.local import LocalBus
@@ -123,8 +123,8 @@ def test_the_end_of_a_run_is_reported() -> None:
     bus.shutdown()
 
 
-def frame(number: int) -> Delivery:
-    return Delivery(number * 1000, Frame(0x0CFF2503, number.to_bytes(8, "big")), "controller", 0)
+def frame(number: int) -> BusFrame:
+    return BusFrame(0, number * 1000, "controller", Frame(0x0CFF2503, number.to_bytes(8, "big")))
 
 
 def test_a_monitor_sees_delivered_frames_at_their_simulated_times(hub: Hub) -> None:
