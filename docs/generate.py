@@ -102,21 +102,27 @@ def keys() -> Iterator[str]:
     from docs.key_table import describe
     from sil.log_replay.signals import Options
     from sil.simulation.scenario import Scenario
-    from sil.studies.study import Study
+    from sil.studies.kinds import StudyKind
+    from sil.studies.study import StudyFile
 
     yield "Every key of a file that `opc4 run`, `opc4 whatif` and `opc4 replay --options` take. A key that is not listed"
     yield "is refused. `--set` takes the same paths, e.g. `--set controller.filter.order=4`. Paths of the plant's"
     yield "parameters are those of `plant/parameters/nominal.toml`, e.g. `valve.D_fall`."
     shown = examples()
-    for title, kind, record in (
-        ("Scenario", "scenario", Scenario),
-        ("Study", "study", Study),
-        ("Options of a replay", "", Options),
+    study = describe(StudyFile)
+    common = {key.key for key in study if not key.table}
+    for record in get_args(StudyKind):
+        study += [key for key in describe(record) if key.table not in ("[design]", "[[sweep]]",
+                  "[[load]]", "[[strategy]]", "[[variant]]") and key.key not in common]
+    for title, kind, rows_of in (
+        ("Scenario", "scenario", describe(Scenario)),
+        ("Study", "study", study),
+        ("Options of a replay", "", describe(Options)),
     ):
         yield from ("", f"## {title}", "")
         tables: dict[str, list[Any]] = {}
-        for row in describe(record):
-            tables.setdefault(row.table, []).append(row)
+        for row in rows_of:
+            tables.setdefault(row.table.strip(), []).append(row)
         for table, rows in tables.items():
             yield from (f"### {title}: `{table}`" if table else f"### {title}: top level", "")
             yield from ("| key | type | unit | default | range | |", "|---|---|---|---|---|---|")

@@ -194,8 +194,7 @@ def whatif(
     from sil.files.output_folder import locked_folder
     from sil.studies.executor import run_study
     from sil.studies.load_study import load_study
-    from sil.studies.summary import summary
-    from sil.studies.table import read_table
+    from sil.studies.table import read_table, summary
 
     loaded = load_study(str(study), model=None if model is None else str(model))
     with locked_folder(Path(out)) as folder:

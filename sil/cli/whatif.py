@@ -15,12 +15,9 @@ from sil.cli.options import EFFECTS, JSON, argument, out
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
-    from sil.studies.study import LoadedStudy
+    from sil.studies.study import Study
 
 EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
-REASONS_PRINTED = 10
-
-
 ARGUMENTS = (
     argument("study", "study file, or a shipped study", "STUDY", nargs="?"),
     argument("--list", "list the shipped studies"),
@@ -42,16 +39,13 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import close_folders, finite
     from sil.files.progress import Progress
     from sil.studies.executor import run_study
-    from sil.studies.fault_table import safe_states
     from sil.studies.load_study import load_study, shipped
-    from sil.studies.rows import more_files
     from sil.studies.study_page import write_page
-    from sil.studies.summary import exit_code, summary
-    from sil.studies.table import read_table
+    from sil.studies.table import exit_code, read_table, summary
 
     if arguments.list:
         for name, path in shipped().items():
-            print(f"{name:24} {load_study(str(path)).study.description}")
+            print(f"{name:24} {load_study(str(path)).file.description}")
         return 0
     if arguments.study is None:
         raise InputError("no STUDY; expected a file or a shipped name, see opc4 whatif --list")
@@ -69,26 +63,26 @@ def run(arguments: argparse.Namespace) -> int:
             progress=progress,
         )
     table = read_table(study, folder)
-    found = summary(study, table)
+    result = summary(study, table)
     files = [word for file in arguments.effects for word in ("--effects", file)]
     files += [] if arguments.model is None else ["--model", arguments.model]
     again = shlex.join(["opc4", "whatif", arguments.study, *files])
-    write_atomically(folder / "summary.json", json.dumps(finite(found), indent=1) + "\n")
-    for name, text in more_files(study, table):
+    write_atomically(folder / "summary.json", json.dumps(finite(result), indent=1) + "\n")
+    for name, text in study.file.texts(study, table).items():
         write_atomically(folder / name, text)
-    if study.study.safety:
-        found["safe_states"] = safe_states(study, table)
-    write_page(study, table, found, folder, again)
+    if sentences := study.file.sentences(study, table):
+        result["safe_states"] = sentences
+    write_page(study, table, result, folder, again)
     if arguments.json:
-        print(json.dumps(finite({"out": str(folder), "rows_now": now, **found})))
+        print(json.dumps(finite({"out": str(folder), "rows_now": now, **result})))
     else:
-        _print_summary(study, found)
-        print(f"{counted(found['rows'], 'row')} ({now} run now) in {folder}")
+        _print_summary(study, result)
+        print(f"{counted(result['rows'], 'row')} ({now} run now) in {folder}")
     close_folders(None)  # complete, also if rows could not run
     return exit_code(table)
 
 
-def _folder(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
+def _folder(study: Study, arguments: argparse.Namespace) -> Path:
     """Return the folder to write. Raises InputError if it cannot be used, naming --resume if that can."""
     from can_dbc.errors import InputError
     from sil.files.output_folder import prepare_folder, reopen_folder
@@ -106,25 +100,25 @@ def _folder(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
             f"{out}: --out: holds {stored} of {counted(study.size, 'row')} of this study; "
             "expected --resume to continue it, or --force to replace it"
         )
-    return prepare_folder(out, study.study.name, arguments.force)
+    return prepare_folder(out, study.file.name, arguments.force)
 
 
-def _print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
+def _print_summary(study: Study, result: dict[str, Any]) -> None:
     """Print a line for each combination of choices, and why rows did not pass."""
-    from sil.studies.figures import read_metrics
+    from sil.studies.table import read_metrics
 
-    for sentence in found.get("safe_states", ()):
+    sentences = result.get("safe_states", ())
+    for sentence in sentences:
         print(sentence)
-    for name, entry in {} if study.study.safety else found["groups"].items():
-        if study.study.kind == "runs":
-            print(f"{name}: {_shift_line(entry)}")
-        else:
-            print(f"{name}: {_metrics_line(entry, read_metrics(study))}")
-    counts = found["outcomes"]
+    of_shifts = "impact_speed_m_s" in study.file.columns()
+    for name, entry in {} if sentences else result["groups"].items():
+        line = _shift_line(entry) if of_shifts else _metrics_line(entry, read_metrics(study))
+        print(f"{name}: {line}")
+    counts = result["outcomes"]
     if counts["failed"] or counts["not_run"]:
         print(f"{counted(counts['failed'], 'row')} failed, {counts['not_run']} could not run:")
-        reasons = [each for each in found["reasons"] if each["outcome"] != "passed"]
-        for each in reasons[:REASONS_PRINTED]:
+        reasons = [each for each in result["reasons"] if each["outcome"] != "passed"]
+        for each in reasons[:10]:
             print(f"  {each['rows']} {each['outcome']}: {each['reason']} (row {each['first_row']})")
 
 

@@ -119,13 +119,6 @@ CONDITIONS = {
     "sensor.delay_s": ("position_sensor.latency",),
 }
 """Inferred numbers that a row varies by the conditions of its strokes."""
-LEAST = {
-    "stroke.supply_pressure_pa": 1e5,
-    "stroke.mesh_force_n": 0.0,
-    "stroke.impulse_factor": 0.0,
-    "stroke.scatter_factor": 0.0,
-}
-"""Least value of a condition."""
 
 NOT_VARIED = {
     "of the fixed-piston rig, on which no headline rests": (

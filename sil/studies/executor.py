@@ -22,44 +22,41 @@ from can_dbc.errors import InputError
 from sil.files.atomic import write_atomically
 from sil.files.cluster import on_cluster
 from sil.files.worker import in_processes
-from sil.studies.rows import RowResult, columns, run_row
-from sil.studies.study import LoadedStudy, Row, toml_value
+from sil.studies.study import Row, Study
 from sil.studies.table import RESULTS
 
 STATE = "study.json"
-
-CONTINUE = "the finished rows are stored; add --resume to continue"
-
 Progress = Callable[[int, int], None]
 
 
-def csv_line(cells: Sequence[str]) -> str:
-    """Return cells as one line of CSV text."""
+def header(study: Study) -> str:
+    """Return the first line: row, choices, swept values, figures, outcome, reason."""
+    swept = [sweep.path for sweep in study.file.sweep]
+    return _csv_line(
+        ["row", *study.file.groups, *swept, *study.file.columns(), "outcome", "reason"]
+    )
+
+
+def _csv_line(cells: Sequence[str]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(cells)
     return text.getvalue()
 
 
-def header(study: LoadedStudy) -> str:
-    """Return the first line: row, choices, swept values, figures, outcome, reason."""
-    names = ["row", *study.groups]
-    names += [sweep.path for sweep in study.study.sweep]
-    return csv_line([*names, *columns(study), "outcome", "reason"])
-
-
-def line(study: LoadedStudy, row: Row, result: RowResult) -> str:
-    """Return one row as CSV text; figures with all their digits, empty for NaN."""
+def _line(study: Study, row: Row) -> str:
+    """Run one row and return it as CSV text; figures with all their digits, empty for NaN."""
+    result = study.run(row)
     cells = [str(row.number), *row.choices]
-    cells += [toml_value(row.settings[sweep.path]) for sweep in study.study.sweep]
-    figures = (result.figures[name] for name in columns(study))
+    cells += [json.dumps(row.settings[sweep.path]) for sweep in study.file.sweep]
+    figures = (result.figures[name] for name in study.file.columns())
     cells += ["" if math.isnan(value) else repr(value) for value in figures]
-    return csv_line([*cells, result.outcome, result.reason])
+    return _csv_line([*cells, result.outcome, result.reason])
 
 
-def run_chunk(study: LoadedStudy, numbers: tuple[int, int]) -> list[str]:
+def run_chunk(study: Study, numbers: tuple[int, int]) -> list[str]:
     """Run the rows begin..end-1 of a study and return their lines."""
     rows = islice(study.rows(numbers[0]), numbers[1] - numbers[0])
-    lines = [line(study, row, run_row(study, row)) for row in rows]
+    lines = [_line(study, row) for row in rows]
     _freeze_loaded_objects()
     return lines
 
@@ -72,7 +69,7 @@ def _freeze_loaded_objects() -> None:
 
 
 def run_study(
-    study: LoadedStudy,
+    study: Study,
     folder: Path,
     *,
     workers: int = 1,
@@ -91,10 +88,10 @@ def run_study(
         os.truncate(path, length)
     else:
         write_atomically(
-            folder / STATE, json.dumps({"study": study.study.name, "sha256": study.digest})
+            folder / STATE, json.dumps({"study": study.file.name, "sha256": study.digest})
         )
         write_atomically(path, header(study))
-    rows = study.rows_together
+    rows = study.file.rows_together
     wanted = [(start, min(start + rows, study.size)) for start in range(begin, study.size, rows)]
     # the first rows run here: bad settings are reported at once, and kernels are compiled once
     done = begin
@@ -116,29 +113,30 @@ def run_study(
 
 
 def _results(
-    study: LoadedStudy, wanted: list[tuple[int, int]], workers: int, cluster: str | None
+    study: Study, wanted: list[tuple[int, int]], workers: int, cluster: str | None
 ) -> Iterator[list[str]]:
     """Yield the lines of each chunk, in order."""
+    advice = "the finished rows are stored; add --resume to continue"
     yield from (run_chunk(study, piece) for piece in wanted[:1])
     rest = wanted[1:]
     if cluster is not None and wanted:
-        yield from on_cluster(partial(_run_sent_chunk, study), rest, cluster, CONTINUE)
+        yield from on_cluster(partial(_run_sent_chunk, study), rest, cluster, advice)
     elif workers > 1 and rest:
-        yield from in_processes(partial(run_chunk, study), rest, workers, CONTINUE)
+        yield from in_processes(partial(run_chunk, study), rest, workers, advice)
     else:
         yield from (run_chunk(study, piece) for piece in rest)
 
 
-def _run_sent_chunk(study: LoadedStudy, numbers: tuple[int, int]) -> list[str]:
+def _run_sent_chunk(study: Study, numbers: tuple[int, int]) -> list[str]:
     """Run a chunk on a machine that has the study only as it was sent."""
     from plant.effects.user_file import load_effects
 
-    for file in study.study.effects:
+    for file in study.file.effects:
         load_effects(file)
     return run_chunk(study, numbers)
 
 
-def completed(study: LoadedStudy, folder: Path) -> tuple[int, int]:
+def completed(study: Study, folder: Path) -> tuple[int, int]:
     """Return how many whole rows of this study the folder's table holds, and their length in bytes.
 
     Raises InputError if the table belongs to another study.
@@ -166,7 +164,7 @@ def completed(study: LoadedStudy, folder: Path) -> tuple[int, int]:
     return len(lines) - 1, length
 
 
-def rows_to_resume(study: LoadedStudy, folder: Path | None) -> int | None:
+def rows_to_resume(study: Study, folder: Path | None) -> int | None:
     """Return how many rows of this study an interrupted run left in a folder, None for any other."""
     try:
         return None if folder is None else completed(study, folder)[0]

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from can_dbc.messages import Fault, Gear
 from sil.files.quantity import counted
 from sil.report.figure import Figure, Panel, Span, Stack
+from sil.simulation.safety import sight_s
 from sil.studies.figures import numbered, title_of
-from sil.studies.study import LoadedStudy
-from sil.studies.table import Table
+from sil.studies.study import Study, Table
+from sil.studies.table import markdown
 
 HEAD = (
     "fault",
@@ -40,20 +41,24 @@ LEGEND = (
 """What the columns mean."""
 
 
-def fault_table(study: LoadedStudy, table: Table) -> str:
+def fault_table(study: Study, table: Table) -> str:
     """Return the table as Markdown, one line for each row, after the counts of safe states."""
-    cells = (HEAD, ("---",) * len(HEAD), *rows(study, table))
-    lines = [f"| {' | '.join(row)} |" for row in cells]
-    head = (f"# {study.study.name}", "", study.study.description, "", *safe_states(study, table))
-    return "\n".join([*head, "", *lines, "", *(f"- {line}" for line in LEGEND)]) + "\n"
+    head = (f"# {study.file.name}", "", study.file.description, "", *safe_states(study, table))
+    lines = [*head, "", *markdown(HEAD, rows(study, table)), "", *(f"- {line}" for line in LEGEND)]
+    return "\n".join(lines) + "\n"
 
 
-def safe_states(study: LoadedStudy, table: Table) -> list[str]:
+def longest_sight_s(study: Study) -> float:
+    """Return the longest time before a motion of the base scenario reaches the status frames."""
+    return sight_s(study.loaded({}).scenario)
+
+
+def safe_states(study: Study, table: Table) -> list[str]:
     """Return sentences: how many rows kept the safe states, and how many faults were reported."""
     orphans = int((table.numbers["orphan_energised_s"] > 0.0).sum())
     half = int(table.numbers["half_engaged"].sum())
     false = np.nan_to_num(table.numbers["false_gear_s"])
-    longest, sight = float(false.max(initial=0.0)), study.longest_sight_s
+    longest, sight = float(false.max(initial=0.0)), longest_sight_s(study)
     silent = int(np.isnan(table.numbers["reported_gear"]).sum())
     reported = int((table.numbers["fault_bits"] > 0.0).sum())
     return [
@@ -66,23 +71,23 @@ def safe_states(study: LoadedStudy, table: Table) -> list[str]:
     ]
 
 
-def _where(study: LoadedStudy, table: Table, flags: NDArray[np.bool_]) -> str:
+def _where(study: Study, table: Table, flags: NDArray[np.bool_]) -> str:
     """Return the number of flagged [rows], and their faults."""
-    names = list(study.groups)[:-1]
+    names = list(study.file.groups)[:-1]
     faults = [", ".join(table.texts[name][i] for name in names) for i in np.flatnonzero(flags)]
     listed = f" ({'; '.join(dict.fromkeys(faults))})" if any(faults) else ""
     return f"{counted(len(faults), 'run')}{listed}"
 
 
-def rows(study: LoadedStudy, table: Table) -> Iterator[tuple[str, ...]]:
+def rows(study: Study, table: Table) -> Iterator[tuple[str, ...]]:
     """Yield the cells of each row, as texts."""
     for i in range(table.size):
-        *fault, shift = [table.texts[name][i] for name in study.groups] or [""]
+        *fault, shift = [table.texts[name][i] for name in study.file.groups] or [""]
         number = {name: values[i] for name, values in table.numbers.items()}
         silent = math.isnan(number["reported_gear"])
         off_after = _milliseconds(number["coils_off_after_s"])
         yield (
-            ", ".join(fault) or study.study.name,
+            ", ".join(fault) or study.file.name,
             shift,
             _milliseconds(number["detected_after_s"]),
             _faults(number["fault_bits"]),
@@ -124,8 +129,8 @@ OUTCOMES = (
 )
 
 
-def outcome(table: Table, i: int, sight_s: float) -> int:
-    """Return how row `i` ended, as an index of OUTCOMES; sight_s: as `LoadedStudy.longest_sight_s`."""
+def _outcome(table: Table, i: int, sight_s: float) -> int:
+    """Return how row `i` ended, as an index of OUTCOMES; sight_s: of `longest_sight_s`."""
     number = table.numbers
     if number["orphan_energised_s"][i] > 0.0 or number["false_gear_s"][i] > sight_s:
         return 6
@@ -137,13 +142,14 @@ def outcome(table: Table, i: int, sight_s: float) -> int:
     return (3 if number["half_engaged"][i] else 1) + reported
 
 
-def outcomes_figure(study: LoadedStudy, table: Table) -> Figure:
+def outcomes_figure(study: Study, table: Table) -> Figure:
     """Return a grid of faults and shifts, coloured by how each run ended; long ones in two halves."""
-    *of_fault, of_shift = study.groups
+    *of_fault, of_shift = study.file.groups
     shifts = list(dict.fromkeys(table.texts[of_shift]))
     labels = [", ".join(table.texts[name][i] for name in of_fault) for i in range(table.size)]
     faults = list(dict.fromkeys(labels))
     half = len(faults) if len(faults) < 12 else -(-len(faults) // 2)
+    sight = longest_sight_s(study)
     stacks: list[Stack] = []
     for begin in range(0, len(faults), half):
         part = faults[begin : begin + half]
@@ -151,7 +157,7 @@ def outcomes_figure(study: LoadedStudy, table: Table) -> Figure:
         for i, label in enumerate(labels):
             if label in part:
                 x, y = shifts.index(table.texts[of_shift][i]), part.index(label)
-                colour = OUTCOMES[outcome(table, i, study.longest_sight_s)][1]
+                colour = OUTCOMES[_outcome(table, i, sight)][1]
                 spans.append(Span(x - 0.46, x + 0.46, colour, "", y - 0.42, y + 0.42))
         panel = Panel(
             "Faults",

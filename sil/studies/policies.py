@@ -1,7 +1,7 @@
 """Simulate many command sequences under many loads in one batch: how hard each arrives, and when.
 
-The loads of a family differ in one unknown, and an event reveals which it is: the synchronizer's
-release on the gearbox, the first contact of piston and stay in the laboratory.
+The loads of a family differ in one unknown, and an event reveals which it is: on the gearbox the
+synchronizer's release.
 Checked by: tests/unit/sil/studies/test_policies.py
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,35 +25,30 @@ from sil.coupling.clock import NS_PER_S
 from sil.simulation.impacts import HOLD_S, counted, worst_speed_m_s
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Commands = Sequence[tuple[float, str, float]]
 """(time s, valve, duty), as in a campaign."""
-
-GUARDS = {guard.event: guard for guard in Guard}
-MAX_EVENTS = 96
-AT_STOP_M = 1e-4
-NOT_ARRIVED_M_S = 2.0
-"""Least cost of an arrival that is too late or does not last; above every impact."""
-
-PUSH = StrokeConditions("N-B", 900000.0, ((0.0, "B", FULL_DUTY),))
-"""The plain push from neutral to backward."""
 
 
 @dataclass(frozen=True)
 class Family:
     """Loads of one stroke that differ in one unknown, and the event that reveals which it is."""
 
-    name: str
-    revealed_by: Literal["collar 1 contact", "unblock"]
+    revealed_by: str
     cases: tuple[StrokeConditions, ...]
 
     def under(self, **conditions: Any) -> Family:
         """Return the family with other conditions of all its loads."""
         return replace(self, cases=tuple(replace(case, **conditions) for case in self.cases))
 
+    def with_impulses(self, factor: float) -> Family:
+        """Return the family with other impulses of the synchronizer."""
+        cases = (replace(c, sync_impulse_n_s=factor * c.sync_impulse_n_s) for c in self.cases)
+        return replace(self, cases=tuple(cases))
 
+
+PUSH = StrokeConditions("N-B", 900000.0, ((0.0, "B", FULL_DUTY),))
+"""The plain push from neutral to backward."""
 GEARBOX = Family(
-    "gearbox",
     "unblock",
     tuple(
         replace(PUSH, mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=impulse_n_s)
@@ -67,12 +62,11 @@ GEARBOX = Family(
 class Arrivals:
     """How command sequences arrive, each [sequences, loads]; speeds in m/s, times in s.
 
-    cost_m_s: the hardest impact, or above `NOT_ARRIVED_M_S` for an arrival that is too late or does
-    not last. impact_stay_m_s: hardest stop of the stay. impact_worst_m_s: hardest of all impacts that
-    count (`sil.simulation.impacts`). The last three are infinite for an arrival that does not last.
+    impact_stay_m_s: hardest stop of the stay. impact_worst_m_s: hardest of all impacts that count
+    (`sil.simulation.impacts`). All but revealed_s are infinite for an arrival that is too late or
+    does not last.
     """
 
-    cost_m_s: Floats
     revealed_s: Floats
     impact_stay_m_s: Floats
     impact_worst_m_s: Floats
@@ -80,76 +74,63 @@ class Arrivals:
 
 
 class FamilyModel:
-    """The strokes of a family's loads, to be simulated under many command sequences.
+    """The strokes of a family's loads, to be simulated under many command sequences."""
 
-    extra_s: how much later than the plain push a load may arrive. tolerance: of `simulate_batch`.
-    """
-
-    def __init__(
-        self, parameters: ParameterSet, family: Family, extra_s: float, tolerance: float = 1e-5
-    ) -> None:
+    def __init__(self, parameters: ParameterSet, family: Family) -> None:
         setups = [make_setup(parameters, case) for case in family.cases]
-        self.loads = len(setups)
         self._timing = ValveTiming.from_parameters(parameters)
-        self._base = Strokes.from_setups(setups, 1.0)
+        self._strokes = Strokes.from_setups(setups, 1.0)
         self._stroke_m = setups[0].p.stroke
         self._mass_kg = setups[0].p.m_s + setups[0].p.m_p
-        self._revealing = GUARDS[family.revealed_by]
-        self._tolerance = tolerance
-        self.limit_s: Floats = np.full(self.loads, 0.5)
-        self.plain = self.arrivals([PUSH.commands])
-        self.limit_s = self.plain.arrival_s[0] + extra_s
+        self._revealed_by = family.revealed_by
 
-    def arrivals(self, sequences: Sequence[Commands]) -> Arrivals:
-        """Simulate each command sequence under every load, and judge its impacts."""
-        load = np.tile(np.arange(self.loads), len(sequences))
-        limit_s = self.limit_s[load]
-        of_load: dict[str, Any] = {
-            name: rows if len(rows) == 1 else rows[load]
+    def arrivals(self, sequences: Sequence[Commands], limit_s: float = 0.5) -> Arrivals:
+        """Simulate each command sequence under every load, and judge its impacts.
+
+        limit_s: what arrives later is too late.
+        """
+        guards = {guard.event: guard for guard in Guard}
+        loads, max_events = len(self._strokes.packed), 96
+        of_load = np.tile(np.arange(loads), len(sequences))
+        per_load: dict[str, Any] = {
+            name: rows if len(rows) == 1 else rows[of_load]
             for name in ("flow", "initial", "modes", "valves")
-            for rows in (getattr(self._base, name),)
+            for rows in (getattr(self._strokes, name),)
         }
         result = simulate_batch(
             replace(
-                self._base,
-                packed=self._base.packed[load],
-                switches=np.repeat(self._switches(sequences), self.loads, axis=0),
-                duration_s=limit_s + HOLD_S,
-                **of_load,
+                self._strokes,
+                packed=self._strokes.packed[of_load],
+                switches=np.repeat(self._switches(sequences), loads, axis=0),
+                duration_s=np.full(len(of_load), limit_s + HOLD_S),
+                **per_load,
             ),
-            event_room=MAX_EVENTS,
+            event_room=max_events,
             lanes=False,
-            tolerance=self._tolerance,
+            tolerance=1e-5,
         )
         events = np.moveaxis(result.events, 2, 0)
-        happened = np.arange(MAX_EVENTS) < result.event_count[:, None]
+        happened = np.arange(max_events) < result.event_count[:, None]
         time_s = np.where(happened, events[EventRow.time], np.inf)
         guard, x_m = events[EventRow.guard], events[EventRow.x]
         at_block = events[EventRow.at_block] == 1.0
         stop = happened & ~at_block & (events[EventRow.speed] > 0.0) & (x_m > 0.5 * self._stroke_m)
-        below = happened & (x_m < self._stroke_m - AT_STOP_M)
-        left_s = np.where(below & (time_s > first(stop, time_s)[:, None]), time_s, -1.0).max(axis=1)
-        arrival_s = first(stop & (time_s > left_s[:, None]), time_s)
+        stop_m = self._stroke_m - 1e-4
+        left = happened & (x_m < stop_m) & (time_s > _first(stop, time_s)[:, None])
+        left_s = np.where(left, time_s, -1.0).max(axis=1)
+        arrival_s = _first(stop & (time_s > left_s[:, None]), time_s)
         lost_j = np.where(happened, events[EventRow.lost], 0.0)
-        counts = counted(guard, time_s, lost_j, at_block, (GUARDS["collar 1 contact"],))
+        counts = counted(guard, time_s, lost_j, at_block, (guards["collar 1 contact"],))
         worst_j = np.where(counts, lost_j, 0.0).max(axis=1)
         stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
         worst_m_s = worst_speed_m_s(worst_j, stay_m_s, self._mass_kg)
-        final_m = result.final[:, LengthState.x_s]
-        stays = (result.status == DONE) & (result.event_count <= MAX_EVENTS)
-        stays &= final_m > self._stroke_m - AT_STOP_M
-        lasts = stays & (arrival_s <= limit_s)
-        lateness = np.where(
-            np.isfinite(arrival_s),
-            np.maximum(arrival_s - limit_s, 0.0) / HOLD_S,
-            2.0 - np.clip(final_m / self._stroke_m, -1.0, 1.0),
-        )
+        lasts = (result.status == DONE) & (result.event_count <= max_events)
+        lasts &= (result.final[:, LengthState.x_s] > stop_m) & (arrival_s <= limit_s)
         columns = (
-            np.where(lasts, worst_m_s, NOT_ARRIVED_M_S + lateness),
-            first(happened & (guard == self._revealing), time_s),
+            _first(happened & (guard == guards[self._revealed_by]), time_s),
             *(np.where(lasts, each, np.inf) for each in (stay_m_s, worst_m_s, arrival_s)),
         )
-        return Arrivals(*(column.reshape(-1, self.loads) for column in columns))
+        return Arrivals(*(column.reshape(-1, loads) for column in columns))
 
     def _switches(self, sequences: Sequence[Commands]) -> Floats:
         """Return the switches [sequences, k, 4] of `Strokes` for the commands of each sequence."""
@@ -164,7 +145,7 @@ class FamilyModel:
         return switches
 
 
-def first(which: Bools, time_s: Floats) -> Floats:
+def _first(which: NDArray[np.bool_], time_s: Floats) -> Floats:
     """Return the time [runs] in s of the first marked event of [runs, events], infinite without one."""
     times_s: Floats = np.where(which, time_s, np.inf).min(axis=1)
     return times_s

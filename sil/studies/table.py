@@ -1,52 +1,36 @@
-"""The table of a finished study, read back."""
+"""The table of a finished study: read back, summed up by groups of rows, written as Markdown."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.studies.study import LoadedStudy
+from sil.studies.study import Outcome, Study, Table
 
 RESULTS = "results.csv"
+Z95 = 1.959964
+"""Half width of a 95 % interval in standard deviations of a normal distribution."""
 
 
-@dataclass(frozen=True)
-class Table:
-    """Columns of results.csv by name: texts, and numbers [rows] in the unit of their name.
-
-    Numbers that a row does not have are NaN. Texts are the choices, `outcome` and `reason`, and
-    swept values that are no numbers.
-    """
-
-    texts: dict[str, list[str]]
-    numbers: dict[str, NDArray[np.float64]]
-    size: int
-
-    @property
-    def outcomes(self) -> Counter[str]:
-        """Return how many rows have each outcome."""
-        return Counter(self.texts["outcome"])
-
-
-def read_table(study: LoadedStudy, folder: Path) -> Table:
+def read_table(study: Study, folder: Path) -> Table:
     """Read a study's results.csv."""
-    choices = {*study.groups, "outcome", "reason"}
+    choices = {*study.file.groups, "outcome", "reason"}
     with open(folder / RESULTS, encoding="utf-8", newline="") as file:
         names, *cells = csv.reader(file)
     texts: dict[str, list[str]] = {}
     numbers = {}
     for name, column in zip(names, map(list, zip(*cells, strict=True)), strict=True):
-        found = None if name in choices else numbers_of(column)
-        if found is None:
+        values = None if name in choices else numbers_of(column)
+        if values is None:
             texts[name] = column
         else:
-            numbers[name] = found
+            numbers[name] = values
     return Table(texts, numbers, len(cells))
 
 
@@ -58,13 +42,87 @@ def numbers_of(cells: list[str]) -> NDArray[np.float64] | None:
         return None
 
 
-def row_groups(study: LoadedStudy, table: Table) -> dict[str, NDArray[np.int64]]:
-    """Return the row numbers [rows of the group] of each combination of choices, by its label."""
-    keys = list(study.groups)
-    if not keys:
-        return {"": np.arange(table.size)}
-    labels = [" / ".join(parts) for parts in zip(*(table.texts[k] for k in keys), strict=True)]
-    found: dict[str, list[int]] = {}
-    for k, label in enumerate(labels):
-        found.setdefault(label, []).append(k)
-    return {label: np.array(rows) for label, rows in found.items()}
+def read_metrics(study: Study) -> list[str]:
+    """Return the metrics to show first."""
+    columns = study.file.columns()
+    default = ["impact_speed_m_s", "shift_time_s" if "shift_time_s" in columns else "arrival_s"]
+    return [name for name in study.file.reads or default if name in columns]
+
+
+def summary(study: Study, table: Table) -> dict[str, Any]:
+    """Return counts of outcomes, reasons, and of each combination of choices the figures.
+
+    A figure is its least, median and greatest value over the rows of the combination.
+    """
+    groups: dict[str, Any] = {}
+    for label, rows in study.row_groups(table).items():
+        entry: dict[str, Any] = {"rows": len(rows)}
+        for name in study.file.columns():
+            values = table.numbers[name][rows]
+            values = values[~np.isnan(values)]
+            if len(values):
+                parts = (("min", np.min), ("median", np.median), ("max", np.max))
+                entry[name] = {key: float(part(values)) for key, part in parts}
+        failed = table.numbers["failed"][rows] > 0.0
+        entry["failed_share"] = float(np.mean(failed))
+        if study.file.design.is_drawn:
+            entry["failed_interval"] = share_interval(int(failed.sum()), len(rows))
+            for name in read_metrics(study):
+                entry[name] |= quantiles(table.numbers[name][rows])
+        groups[label or "all"] = entry
+    counts = table.outcomes
+    return {
+        "study": study.file.name,
+        "rows": table.size,
+        "outcomes": {name.replace(" ", "_"): counts[name] for name in get_args(Outcome)},
+        "reasons": _reasons(table)[:100],
+        "groups": groups,
+    }
+
+
+def _reasons(table: Table) -> list[dict[str, Any]]:
+    """Return each reason with its outcome, number of rows and first row, the most frequent first."""
+    rows: dict[tuple[str, str], list[int]] = {}
+    for k, key in enumerate(zip(table.texts["outcome"], table.texts["reason"], strict=True)):
+        if key[1]:
+            rows.setdefault(key, []).append(k)
+    reasons = [
+        {"outcome": outcome, "reason": reason, "rows": len(which), "first_row": which[0]}
+        for (outcome, reason), which in rows.items()
+    ]
+    order = get_args(Outcome).index
+    return sorted(reasons, key=lambda e: (order(e["outcome"]), e["rows"]), reverse=True)
+
+
+def share_interval(count: int, size: int) -> list[float]:
+    """Return the 95 % interval of a share that was observed `count` times of `size` (Wilson)."""
+    share, z2 = count / size, Z95**2
+    middle = (share + 0.5 * z2 / size) / (1.0 + z2 / size)
+    half = math.sqrt(share * (1.0 - share) / size + 0.25 * z2 / size**2) * Z95 / (1.0 + z2 / size)
+    return [max(0.0, middle - half), min(1.0, middle + half)]
+
+
+def quantiles(values: NDArray[np.float64]) -> dict[str, list[float]]:
+    """Return the 5, 50 and 95 % quantiles of values [rows], each with its 95 % interval.
+
+    The ends of an interval are order statistics, which assume nothing of the distribution.
+    """
+    ordered = np.sort(values[np.isfinite(values)])
+    size, quantile = len(ordered), {}
+    for share in (0.05, 0.5, 0.95) if size else ():
+        half = Z95 * math.sqrt(size * share * (1.0 - share))
+        ends = np.clip([size * share - half, size * share + half], 0, size - 1).round().astype(int)
+        triple = [np.quantile(ordered, share), *ordered[ends]]
+        quantile[f"p{100 * share:.0f}"] = [float(x) for x in triple]
+    return quantile
+
+
+def exit_code(table: Table) -> int:
+    """Return 3 if a row could not run, else 1 if a row failed, else 0."""
+    counts = table.outcomes
+    return 3 if counts["not run"] else 1 if counts["failed"] else 0
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a Markdown table."""
+    return [f"| {' | '.join(row)} |" for row in (head, ("---",) * len(head), *rows)]

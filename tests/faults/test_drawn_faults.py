@@ -92,7 +92,7 @@ def test_everything_that_a_scenario_lets_fail_is_drawn() -> None:
             entry["kind"],
             entry.get("message") or entry.get("node") or entry.get("valve", ""),
         )
-        for variant in load_study("faults").study.variant
+        for variant in load_study("faults").file.variant
         for where, entries in variant.set.items()
         if isinstance(entries, list)
         for entry in entries

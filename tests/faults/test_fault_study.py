@@ -25,7 +25,7 @@ def stated(name: str, **wanted: Any) -> set[str]:
     """Kinds that the study states in a list of faults, of those entries that have `wanted`."""
     return {
         entry["kind"]
-        for variant in STUDY.study.variant
+        for variant in STUDY.file.variant
         for entry in variant.set.get(name, ())  # type: ignore[union-attr]
         if all(entry.get(key) == value for key, value in wanted.items())
     }
@@ -44,7 +44,7 @@ def test_every_fault_of_every_device_is_in_it_twice() -> None:
             "spoofed", "replayed"}  # fmt: skip
     for node in ("controller", "driver"):
         assert stated("fault", node=node) == {"dead", "bus_off", "stalled", "bit_rate"}
-    names = [variant.name for variant in STUDY.study.variant]
+    names = [variant.name for variant in STUDY.file.variant]
     during, before = (
         {n.removesuffix(when) for n in names if n.endswith(when)}
         for when in (", in the shift", ", before")
@@ -52,7 +52,7 @@ def test_every_fault_of_every_device_is_in_it_twice() -> None:
     assert len(names) == 1 + len(during) + len(before) and len(during) == 129
     # a clock is wrong, and a node is late, from the start
     assert during <= before and all("clock" in n or "late" in n for n in before - during)
-    assert {choice.name for choice in STUDY.study.load} == {"N-B", "B-N", "N-F", "F-N"}
+    assert {choice.name for choice in STUDY.file.load} == {"N-B", "B-N", "N-F", "F-N"}
 
 
 SMALL = """
@@ -93,7 +93,7 @@ WORDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
     ],
 )
 def test_every_word_of_the_vocabulary_is_said_of_everything(what: str) -> None:
-    said = {v.name.removeprefix(f"{what} ") for v in STUDY.study.variant if v.name.startswith(what)}
+    said = {v.name.removeprefix(f"{what} ") for v in STUDY.file.variant if v.name.startswith(what)}
     for word in WORDS:
         assert any(word in name for name in said), (what, word)
 
@@ -123,4 +123,4 @@ def test_a_safety_study_needs_a_scenario(tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "s.toml"
     path.write_text('name = "s"\nsafety = true\n[stroke]\nkind = "N-B"\ncommands = []\n')
     assert main(["whatif", str(path), "--out", str(tmp_path / "out")]) == 2
-    assert "expected a study of runs with a scenario" in capsys.readouterr().err
+    assert "safety: unknown" in capsys.readouterr().err

@@ -29,15 +29,11 @@ from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels
-from sil.studies.rows import FAILED, RowResult
-from sil.studies.study import LoadedStudy, Row
-from sil.studies.table import Table
+from sil.studies.study import Row, RowResult, ScenarioStudy, Settings, Study, Table
 
-THESIS_DELAYS_S = (("sensor", 0.030), ("velocity", 0.010), ("valve", 0.008))
+THESIS_DELAYS_S = {"sensor": 0.030, "velocity": 0.010, "valve": 0.008}
 """Delays of information and of a valve as the thesis counts them (4.2.1)."""
 THESIS_WINDOW_S = 0.040
-BRAKE_PA = 100000.0
-"""Rise of the neutral chamber's pressure that counts as a brake: about 250 N on the piston."""
 
 BARS = {
     "waiting for a pulse": "#1f77b4",
@@ -53,11 +49,33 @@ BARS = {
 }
 """The delays in their order, and their colours."""
 
-TOTALS = ("window_s", "last_part_s", "spent_s", "closed_spent_s", "slack_s", "last_slack_s")
-
 
 class NoBudgetError(RunError):
     """A shift that never arrives, or whose commands or samples are missing, has no budget."""
+
+
+class BudgetStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag="budget"):
+    """A row is the latency budget of a run's last shift."""
+
+    def columns(self) -> tuple[str, ...]:
+        """Return window, sums, slack, and each delay twice."""
+        totals = ("window_s", "last_part_s", "spent_s", "closed_spent_s", "slack_s", "last_slack_s")
+        return (*totals, *map(simulated, BARS), *map(closed, BARS), "failed")
+
+    def run(self, study: Study, row: Row) -> RowResult:
+        """Return the budget of a row; a shift that never arrives has none and counts as failed.
+
+        Raises InputError for settings that the scenario does not accept, RunError if a participant
+        dies.
+        """
+        try:
+            return RowResult(budget_of(study.loaded, row.settings) | {"failed": 0.0})
+        except NoBudgetError as error:
+            return study.without_figures("failed", str(error))
+
+    def draw(self, study: Study, table: Table) -> dict[str, Figure]:
+        """Return the thesis's sum, and each row's delays as one stack against the time that there is."""
+        return {"budget": _budget_figure(study, table)}
 
 
 def simulated(bar: str) -> str:
@@ -68,23 +86,6 @@ def simulated(bar: str) -> str:
 def closed(bar: str) -> str:
     """Return the column of a delay in closed form."""
     return f"closed_{simulated(bar)}"
-
-
-def columns(study: LoadedStudy) -> tuple[str, ...]:
-    """Return window, sums, slack, and each delay twice."""
-    return (*TOTALS, *map(simulated, BARS), *map(closed, BARS), "failed")
-
-
-def run(study: LoadedStudy, row: Row) -> RowResult:
-    """Return the budget of a row; a shift that never arrives has none and counts as failed.
-
-    Raises InputError for settings that the scenario does not accept, RunError if a participant dies.
-    """
-    try:
-        return RowResult(budget_of(study.loaded, row.texts) | {"failed": 0.0})
-    except NoBudgetError as error:
-        nothing = dict.fromkeys(columns(study), math.nan) | {"failed": 1.0}
-        return RowResult(nothing, FAILED, str(error))
 
 
 def filter_delay_s(config: FilterConfig) -> float:
@@ -143,18 +144,17 @@ def _next(entries: Sequence[tuple[BusFrame, object]], at_ns: int) -> BusFrame:
     raise NoBudgetError("no frame after the first sample of the motion")
 
 
-def budget_of(
-    make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] = ()
-) -> dict[str, float]:
+def budget_of(load: Callable[[Settings], Loaded], settings: Settings) -> dict[str, float]:
     """Return the delays of a scenario's last shift from its first motion on, by column, in s.
 
     window_s: from first motion to the stop; last_part_s: from the end of the synchronizer's block,
     the only part whose load is known (4.2.1); slack: what the delays leave of them. The filter's
     delay is how much later the estimated position passes 90 % of the travel than in the same run
-    without the filter. `make` returns the scenario with settings PATH=VALUE.
+    without the filter. Pressure build-up: to 1 bar in the neutral chamber, about 250 N on the piston.
+    `load` returns the scenario with settings.
     Raises NoBudgetError if the shift does not arrive, RunError if a participant dies.
     """
-    loaded = make(settings)
+    loaded = load(settings)
     run = run_in_memory(loaded)
     shift = run.shifts[-1]
     motion_s = shift.first_motion_s
@@ -181,51 +181,52 @@ def budget_of(
     command = _next(run.record.of(ValveCommand), step_ns)
     filtered_s = 0.0
     if config.filter.enabled:
-        plain = make([*settings, "controller.filter=false"])
-        lags = (shift.position_lag_90_s, run_in_memory(plain).shifts[-1].position_lag_90_s)
+        unfiltered = run_in_memory(load({**settings, "controller.filter.enabled": False}))
+        lags = (shift.position_lag_90_s, unfiltered.shifts[-1].position_lag_90_s)
         if lags[0] is None or lags[1] is None:
             raise NoBudgetError("the estimated position never passes 90 % of the travel")
         filtered_s = lags[0] - lags[1]
-    filling = parameters, run.record.supply_pressure_pa, BRAKE_PA
-    delays_s = (
-        (released_s - age_s - motion_s, waited_s),
-        (age_s, reported_s),
-        (arrived_s - released_s, bits_s(report)),
-        (step_ns / NS_PER_S - arrived_s, -there_s % config.period_s),
-        (filtered_s, filter_delay_s(config.filter)),
-        ((second.released_ns - report.released_ns) / NS_PER_S, period_s),
-        ((command.released_ns - step_ns) / NS_PER_S, config.computation_s),
-        ((command.arrival_ns - command.released_ns) / NS_PER_S, bits_s(command)),
-        (shift.valve_open_s - shift.commanded_s, parameters.value("valve.D_rise")),
-        (filling_simulated_s(*filling), filling_closed_s(*filling)),
-    )
+    filling = parameters, run.record.supply_pressure_pa, 1e5
+    delays_s = {
+        "waiting for a pulse": (released_s - age_s - motion_s, waited_s),
+        "pulse and its report": (age_s, reported_s),
+        "bus to the controller": (arrived_s - released_s, bits_s(report)),
+        "waiting for the step": (step_ns / NS_PER_S - arrived_s, -there_s % config.period_s),
+        "filter": (filtered_s, filter_delay_s(config.filter)),
+        "second sample for the speed": (
+            (second.released_ns - report.released_ns) / NS_PER_S,
+            period_s,
+        ),
+        "computation": ((command.released_ns - step_ns) / NS_PER_S, config.computation_s),
+        "bus to the valves": (
+            (command.arrival_ns - command.released_ns) / NS_PER_S,
+            bits_s(command),
+        ),
+        "valve opening": (shift.valve_open_s - shift.commanded_s, parameters.value("valve.D_rise")),
+        "pressure build-up": (filling_simulated_s(*filling), filling_closed_s(*filling)),
+    }
     unblocked_s = [e.time_s for e in run.record.events if e.name == "sync_unblock"]
     last_s = max([motion_s, *(t for t in unblocked_s if motion_s < t < shift.arrived_s)])
-    simulated_s, closed_s = zip(*delays_s, strict=True)
-    window_s, last_part_s, spent_s = (
-        shift.arrived_s - motion_s,
-        shift.arrived_s - last_s,
-        sum(simulated_s),
-    )
-    totals_s = (
-        window_s,
-        last_part_s,
-        spent_s,
-        sum(closed_s),
-        window_s - spent_s,
-        last_part_s - spent_s,
-    )
-    names = (*TOTALS, *map(simulated, BARS), *map(closed, BARS))
-    return dict(zip(names, (*totals_s, *simulated_s, *closed_s), strict=True))
+    window_s, last_part_s = shift.arrived_s - motion_s, shift.arrived_s - last_s
+    spent_s, closed_spent_s = map(sum, zip(*delays_s.values(), strict=True))
+    return {
+        "window_s": window_s,
+        "last_part_s": last_part_s,
+        "spent_s": spent_s,
+        "closed_spent_s": closed_spent_s,
+        "slack_s": window_s - spent_s,
+        "last_slack_s": last_part_s - spent_s,
+        **{simulated(bar): delay_s for bar, (delay_s, _) in delays_s.items()},
+        **{closed(bar): delay_s for bar, (_, delay_s) in delays_s.items()},
+    }
 
 
-def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
-    """Return the thesis's sum, and each row's delays as one stack against the time that there is."""
+def _budget_figure(study: Study, table: Table) -> Figure:
     rows = np.flatnonzero(table.numbers["failed"] == 0.0)
     labels = row_labels(study, table)
     spans, notes = _thesis_bar()
     for at, k in enumerate(rows, start=1):
-        value_ms = {name: MS * float(table.numbers[name][k]) for name in columns(study)}
+        value_ms = {name: MS * float(table.numbers[name][k]) for name in study.file.columns()}
         left = exact = 0.0
         for bar, colour in BARS.items():
             ends = left + value_ms[simulated(bar)], exact + value_ms[closed(bar)]
@@ -248,13 +249,13 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     )
     axis = "ms after the motion that is to be answered (thin lines: closed form)"
     title = "From motion to counter-force: every delay, and the time there is"
-    return {"budget": Figure([Stack(axis, [panel], limits=(0.0, 115.0), width=9.0)], title)}
+    return Figure([Stack(axis, [panel], limits=(0.0, 115.0), width=9.0)], title)
 
 
 def _thesis_bar() -> tuple[list[Span], list[Note]]:
     """Return the thesis's own delays (4.2.1) as the first bar, and its slack."""
     spans, left = [], 0.0
-    for name, delay_s in THESIS_DELAYS_S:
+    for name, delay_s in THESIS_DELAYS_S.items():
         label = f"{name} {MS * delay_s:.0f}"
         spans.append(Span(left, left + MS * delay_s, "measured", label, -0.3, 0.3))
         left += MS * delay_s

@@ -5,11 +5,11 @@ candidates are the shipped defaults and points of a scrambled Sobol sequence ove
 free parameters. The other half are points around the best so far, in boxes that shrink from a
 quarter to a twentieth of each range. Each candidate is run in closed loop under every load.
 
-The cost of a load is the speed of its hardest impact (`sil.simulation.impacts`) plus `late_m_s2` times the time lost against the open loop
-beyond `free_s`, which is about the price of the oil damper. A failed shift, or one that is confirmed
-before it has arrived, costs `FAILED_M_S`. The
-cost of a candidate is half the worst of the loads and half their mean: the worst is what the
-hardware has to withstand, but alone it cannot rank candidates that leave it unchanged.
+The cost of a load is the speed of its hardest impact (`sil.simulation.impacts`) plus `late_m_s2`
+times the time lost against the open loop beyond `free_s`, which is about the price of the oil
+damper. A failed shift, or one that is confirmed before it has arrived, costs 10 m/s. The cost of a
+candidate is half the worst of the loads and half their mean: the worst is what the hardware has to
+withstand, but alone it cannot rank candidates that leave it unchanged.
 
 Strategies with a model are given the valve delays and the age of a sample of their hardware, not the
 load.
@@ -20,8 +20,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,18 +41,14 @@ from sil.studies.figures import (
     title_of,
 )
 from sil.studies.kinds.budget import filter_delay_s
-from sil.studies.rows import FAILED, NOT_RUN, PASSED, RowResult
-from sil.studies.study import LoadedStudy, Row, TuningTable, texts_of
-from sil.studies.table import Table, row_groups
+from sil.studies.study import Choice, Row, RowResult, ScenarioStudy, Settings, Study, Table
 
 FAILED_M_S = 10.0
 BUS_S = 0.0004
 """Approximate time that a report spends on the bus."""
-MOST_BARS = 64
-OIL_DAMPER = 'plant.damper="compressible"'
 
-Make = Callable[[Sequence[str]], Loaded]
-"""Returns the base scenario with settings PATH=VALUE."""
+Load = Callable[[Settings], Loaded]
+"""Returns the base scenario with settings."""
 
 SPACES: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "air_cushion": {
@@ -106,90 +103,102 @@ def strategy_of(settings: Mapping[str, object]) -> str:
     return name
 
 
-def parameters(study: LoadedStudy) -> list[str]:
-    """Return the names of all free parameters of the study's strategies.
+class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Size and cost of the search of a tuning, the same for every strategy."""
 
-    Raises InputError for a strategy without ranges.
-    """
-    found: list[str] = []
-    for choice in study.study.strategy:
-        try:
-            found += SPACES[strategy_of(choice.set)]
-        except InputError as error:
-            raise InputError(f"{study.source}: strategy {choice.name!r}: {error}") from None
-    return list(dict.fromkeys(found))
-
-
-def columns(study: LoadedStudy) -> tuple[str, ...]:
-    """Return cost, worst load, the same with the oil damper, the parameters, and each load."""
-    loads = [choice.name for choice in study.study.load]
-    return (
-        "cost_m_s",
-        "default_cost_m_s",
-        "worst_impact_m_s",
-        "worst_lost_s",
-        "damper_m_s",
-        "damper_worst_m_s",
-        "damper_worst_lost_s",
-        "failed",
-        "information_delay_s",
-        *(f"best.{name}" for name in parameters(study)),
-        *(f"impact_m_s {name}" for name in loads),
-        *(f"lost_s {name}" for name in loads),
-        *(f"damper_m_s {name}" for name in loads),
-    )
+    candidates: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 16
+    """Candidates for each strategy."""
+    free_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
+    """Extra shift time that costs nothing."""
+    late_m_s2: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 10.0
+    """Cost of further shift time: impact speed per time."""
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    """Seed of the search."""
 
 
-def run(study: LoadedStudy, row: Row) -> RowResult:
-    """Tune the strategy of a row; parameters left at their default are NaN.
+class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag="tuning"):
+    """A row is a tuning: the best parameters of a strategy over all loads together."""
 
-    Raises InputError for settings that the scenario does not accept.
-    """
-    strategy, loads = strategy_of(row.settings), study.study.load
-    settings = {k: v for k, v in row.settings.items() if k != "controller.strategy"}
+    tuning: TuningTable = TuningTable()
+    """Size and cost of the search."""
 
-    def cases(*more: str) -> list[list[str]]:
-        return [[*texts_of(settings), *more, *texts_of(load.set)] for load in loads]
+    @property
+    def groups(self) -> dict[str, list[Choice]]:
+        """The choices that multiply the rows: not the loads, which a tuning takes together."""
+        return {name: choices for name, choices in super().groups.items() if name != "load"}
 
-    reference, damped = (
-        [run_case(study.loaded, "open_loop", {}, case) for case in each]
-        for each in (cases(), cases(OIL_DAMPER))
-    )
-    tuned = tune(study.loaded, strategy, cases(), reference, study.study.tuning)
-    best = tuned[0]
-    lost_s, damped_lost_s = (
-        [a.time_s - b.time_s for a, b in zip(arrivals, reference, strict=True)]
-        for arrivals in (best.arrivals, damped)
-    )
-    reasons = [
-        f"{load.name}: {a.reason}" for load, a in zip(loads, best.arrivals, strict=True) if a.reason
-    ]
-    default = next(each for each in tuned if not each.parameters)
-    speeds_m_s, damped_m_s = (
-        [each.speed_m_s for each in arrivals] for arrivals in (best.arrivals, damped)
-    )
-    values = (
-        best.cost_m_s,
-        default.cost_m_s,
-        max(speeds_m_s),
-        max(lost_s),
-        sum(damped_m_s) / len(damped),
-        max(damped_m_s),
-        max(damped_lost_s),
-        float(bool(reasons)),
-        information_delay_s(study.loaded(texts_of(settings))),
-        *(best.parameters.get(name, math.nan) for name in parameters(study)),
-        *speeds_m_s,
-        *lost_s,
-        *damped_m_s,
-    )
-    figures = {
-        name: value if math.isfinite(value) else math.nan
-        for name, value in zip(columns(study), values, strict=True)
-    }
-    died = any(each.died for each in best.arrivals)
-    outcome = NOT_RUN if died else FAILED if reasons else PASSED
-    return RowResult(figures, outcome, "; ".join(reasons))
+    def check(self, source: str) -> None:
+        """Refuse a tuning without loads or strategies, or of unknown ones. Raises InputError."""
+        if not (self.load and self.strategy):
+            raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
+        for choice in self.strategy:
+            try:
+                strategy_of(choice.set)
+            except InputError as error:
+                raise InputError(f"{source}: strategy {choice.name!r}: {error}") from None
+
+    def parameters(self) -> list[str]:
+        """Return the names of all free parameters of the study's strategies."""
+        spaces = (SPACES[strategy_of(choice.set)] for choice in self.strategy)
+        return list(dict.fromkeys(name for space in spaces for name in space))
+
+    def columns(self) -> tuple[str, ...]:
+        """Return cost, worst load, the same with the oil damper, the parameters, and each load."""
+        each = ("impact_m_s", "lost_s", "damper_m_s")
+        return (
+            *("cost_m_s", "default_cost_m_s", "worst_impact_m_s", "worst_lost_s"),
+            *("damper_m_s", "damper_worst_m_s", "damper_worst_lost_s", "failed"),
+            "information_delay_s",
+            *(f"best.{name}" for name in self.parameters()),
+            *(f"{what} {load.name}" for what in each for load in self.load),
+        )
+
+    def run(self, study: Study, row: Row) -> RowResult:
+        """Tune the strategy of a row; parameters left at their default are NaN.
+
+        Raises InputError for settings that the scenario does not accept.
+        """
+        strategy = strategy_of(row.settings)
+        hardware = {k: v for k, v in row.settings.items() if k != "controller.strategy"}
+        damped = hardware | {"plant.damper": "compressible"}
+        cases, damped_cases = (
+            [{**each, **load.set} for load in self.load] for each in (hardware, damped)
+        )
+        reference, damper = (
+            [run_case(study.loaded, "open_loop", {}, case) for case in each]
+            for each in (cases, damped_cases)
+        )
+        candidates = tune(study.loaded, strategy, cases, reference, self.tuning)
+        best = candidates[0]
+        default = next(each for each in candidates if not each.parameters)
+        lost_s, damper_lost_s = (
+            [a.time_s - b.time_s for a, b in zip(arrivals, reference, strict=True)]
+            for arrivals in (best.arrivals, damper)
+        )
+        speeds_m_s, damper_m_s = ([a.speed_m_s for a in each] for each in (best.arrivals, damper))
+        named = zip(self.load, best.arrivals, strict=True)
+        reasons = [f"{load.name}: {arrival.reason}" for load, arrival in named if arrival.reason]
+        values = (
+            *(best.cost_m_s, default.cost_m_s, max(speeds_m_s), max(lost_s)),
+            *(sum(damper_m_s) / len(damper), max(damper_m_s), max(damper_lost_s)),
+            float(bool(reasons)),
+            information_delay_s(study.loaded(hardware)),
+            *(best.parameters.get(name, math.nan) for name in self.parameters()),
+            *(*speeds_m_s, *lost_s, *damper_m_s),
+        )
+        figures = {
+            name: value if math.isfinite(value) else math.nan
+            for name, value in zip(self.columns(), values, strict=True)
+        }
+        if any(arrival.died for arrival in best.arrivals):
+            return RowResult(figures, "not run", "; ".join(reasons))
+        return RowResult(figures, "failed" if reasons else "passed", "; ".join(reasons))
+
+    def draw(self, study: Study, table: Table) -> dict[str, Figure]:
+        """Return the worst impact of up to 64 rows by family, over a grid of two values also as maps."""
+        is_grid = self.design.kind == "grid" and len(self.sweep) == 2
+        figures = {"map": _maps_figure(study, table)} if is_grid else {}
+        return figures | ({"tuning": _worst_figure(study, table)} if table.size <= 64 else {})
 
 
 def cost_m_s(arrival: Arrival, reference: Arrival, free_s: float, late_m_s2: float) -> float:
@@ -200,7 +209,7 @@ def cost_m_s(arrival: Arrival, reference: Arrival, free_s: float, late_m_s2: flo
     return min(FAILED_M_S, arrival.speed_m_s + late_m_s2 * lost_s)
 
 
-def candidates(strategy: str, count: int, seed: int) -> list[dict[str, float]]:
+def spread_values(strategy: str, count: int, seed: int) -> list[dict[str, float]]:
     """Return the shipped defaults, then the points of a scrambled Sobol sequence."""
     from scipy.stats import qmc
 
@@ -245,28 +254,25 @@ def sample_age_s(hardware: Loaded) -> float:
     return there_s + waits_s
 
 
-def hardware_settings(strategy: str, hardware: Loaded) -> list[str]:
+def hardware_settings(strategy: str, hardware: Loaded) -> dict[str, float]:
     """Return the settings by which a strategy with a model knows its hardware."""
     if strategy not in ("bang_bang", "predictive"):
-        return []
+        return {}
     value = hardware.parameters.value
-    prefix = "controller.strategy_parameters"
-    return [
-        f"{prefix}.model.valve_open_s={value('valve.D_rise')!r}",
-        f"{prefix}.model.valve_close_s={value('valve.D_fall')!r}",
-        f"{prefix}.observer.sensor_age_s={min(0.05, sample_age_s(hardware))!r}",
-    ]
+    return {
+        "controller.strategy_parameters.model.valve_open_s": value("valve.D_rise"),
+        "controller.strategy_parameters.model.valve_close_s": value("valve.D_fall"),
+        "controller.strategy_parameters.observer.sensor_age_s": min(0.05, sample_age_s(hardware)),
+    }
 
 
-def run_case(
-    make: Make, strategy: str, values: Mapping[str, float], case: Sequence[str]
-) -> Arrival:
+def run_case(load: Load, strategy: str, values: Mapping[str, float], case: Settings) -> Arrival:
     """Run one closed-loop shift of a strategy with parameter values; case: settings of the load."""
-    settings = [*case, f'controller.strategy="{strategy}"']
-    settings += hardware_settings(strategy, make(settings))
-    settings += [f"controller.strategy_parameters.{name}={x!r}" for name, x in values.items()]
+    settings = {**case, "controller.strategy": strategy}
+    settings |= hardware_settings(strategy, load(settings))
+    settings |= {f"controller.strategy_parameters.{name}": x for name, x in values.items()}
     try:
-        shift = run_in_memory(make(settings)).shifts[-1]
+        shift = run_in_memory(load(settings)).shifts[-1]
     except RunError as error:
         return Arrival(reason=" ".join(str(error).split()), died=True)
     if shift.shift_time_s is None:
@@ -279,9 +285,9 @@ def run_case(
 
 
 def tune(
-    make: Make,
+    load: Load,
     strategy: str,
-    cases: Sequence[Sequence[str]],
+    cases: Sequence[Settings],
     reference: Sequence[Arrival],
     table: TuningTable,
 ) -> list[Candidate]:
@@ -290,35 +296,28 @@ def tune(
     cases: settings of each load; reference: the arrivals of the open loop under each.
     """
 
-    def tried(values: Mapping[str, float]) -> Candidate:
-        arrivals = tuple(run_case(make, strategy, values, case) for case in cases)
+    def candidate(values: Mapping[str, float]) -> Candidate:
+        arrivals = tuple(run_case(load, strategy, values, case) for case in cases)
         costs = [
             cost_m_s(arrival, plain, table.free_s, table.late_m_s2)
             for arrival, plain in zip(arrivals, reference, strict=True)
         ]
         return Candidate(values, arrivals, 0.5 * (max(costs) + sum(costs) / len(costs)))
 
-    budget = table.candidates
-    found = [tried(each) for each in candidates(strategy, budget - budget // 2, table.seed)]
-    left = budget - len(found) if SPACES[strategy] else 0
+    first = spread_values(strategy, table.candidates - table.candidates // 2, table.seed)
+    candidates = [candidate(each) for each in first]
+    left = table.candidates - len(candidates) if SPACES[strategy] else 0
     rng = np.random.default_rng(table.seed)
     for k in range(left):
-        best = min(found, key=lambda candidate: candidate.cost_m_s)
+        best = min(candidates, key=lambda each: each.cost_m_s)
         share = 0.25 * 0.2 ** (k / max(left - 1, 1))
-        found.append(tried(_nearby(strategy, best.parameters, share, rng)))
-    return sorted(found, key=lambda candidate: candidate.cost_m_s)
+        candidates.append(candidate(_nearby(strategy, best.parameters, share, rng)))
+    return sorted(candidates, key=lambda each: each.cost_m_s)
 
 
-def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
-    """Return the worst impact of each row by family, and over a grid of two values also as maps."""
-    is_grid = study.study.design.kind == "grid" and len(study.study.sweep) == 2
-    found = {"map": _maps_figure(study, table)} if is_grid else {}
-    return found | ({"tuning": _worst_figure(study, table)} if table.size <= MOST_BARS else {})
-
-
-def _families(study: LoadedStudy) -> list[str]:
+def _families(study: Study) -> list[str]:
     """Return the part before the comma in the names of a tuning's loads, each once."""
-    return list(dict.fromkeys(load.name.split(",")[0] for load in study.study.load))
+    return list(dict.fromkeys(load.name.split(",")[0] for load in study.file.load))
 
 
 def _impacts_m_s(table: Table, family: str, what: str = "impact_m_s") -> NDArray[np.float64]:
@@ -326,7 +325,7 @@ def _impacts_m_s(table: Table, family: str, what: str = "impact_m_s") -> NDArray
     return np.array([v for n, v in table.numbers.items() if n.startswith(f"{what} {family}")])
 
 
-def _worst_figure(study: LoadedStudy, table: Table) -> Figure:
+def _worst_figure(study: Study, table: Table) -> Figure:
     """Return the worst impact of each row over the loads of each family, as bars."""
     families = _families(study)
     spans = []
@@ -347,12 +346,12 @@ def _worst_figure(study: LoadedStudy, table: Table) -> Figure:
     return Figure([stack], title_of(study))
 
 
-def _maps_figure(study: LoadedStudy, table: Table) -> Figure:
+def _maps_figure(study: Study, table: Table) -> Figure:
     """Return maps of the worst impact over the two swept values: a row a family, a column a variant."""
     scale = ColourScale("worst impact speed over the loads, m/s", 0.0, 1.4, VIRIDIS[::-1])
     i, j = cells_of(study, table)
     stacks = []
-    for variant, rows in row_groups(study, table).items():
+    for variant, rows in study.row_groups(table).items():
         panels = []
         for family in _families(study):
             ours, damper = (

@@ -17,7 +17,6 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from sil.studies.executor import run_study
 from sil.studies.load_study import load_study
-from sil.studies.study import CHUNK
 from sil.studies.table import RESULTS
 
 pytestmark = pytest.mark.slow
@@ -104,7 +103,7 @@ def test_killed_and_resumed_no_row_is_lost_or_repeated(
     out = tmp_path / "out"
     first = opc4("whatif", sweep, "--workers", "2", "--out", out, folder=tmp_path)
     deadline = time.monotonic() + 120.0
-    while lines_of(out / RESULTS) <= 2 * CHUNK:
+    while lines_of(out / RESULTS) <= 2 * 16:
         assert first.poll() is None and time.monotonic() < deadline
         time.sleep(0.01)
     workers = children(first.pid)

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from sil.report.figure import Panel
-from sil.studies.figures import MOST_DOTS, axis_of, swept_figures
-from sil.studies.kinds import stroke
+from sil.studies.figures import MAX_DOTS, sweep_metric, swept_figures
 from sil.studies.load_study import load_study
-from sil.studies.study import LoadedStudy, Sweep
-from sil.studies.table import Table
+from sil.studies.design import Sweep
+from sil.studies.study import Study, Table
 
 LOOP = """
 name = "loop"
@@ -35,7 +34,7 @@ name = "hard"
 """
 
 
-def study(folder: Path, text: str = LOOP) -> LoadedStudy:
+def study(folder: Path, text: str = LOOP) -> Study:
     (folder / "study.toml").write_text(text, encoding="utf-8")
     return load_study(str(folder / "study.toml"))
 
@@ -85,12 +84,12 @@ def test_a_map_shows_the_greatest_value_of_each_cell(tmp_path: Path) -> None:
 
 
 def test_rows_of_a_design_are_points_and_not_all_of_a_large_one(tmp_path: Path) -> None:
-    count = 3 * MOST_DOTS
+    count = 3 * MAX_DOTS
     rises = np.geomspace(0.001, 0.1, count)
     table = made_table(rises, np.full(count, 250e3), ["soft"] * count, rises * 7.0)
     (over,) = swept_figures(study(tmp_path), table)["lines"].stacks  # the other value never changes
     dots = over.panels[0].series[0]
-    assert len(dots.x) == MOST_DOTS and dots.style == "dots"
+    assert len(dots.x) == MAX_DOTS and dots.style == "dots"
     assert over.panels[0].title == "impact speed"
 
 
@@ -103,7 +102,7 @@ def test_strokes_of_a_small_study_lie_over_one_time(tmp_path: Path) -> None:
     numbers = {"length.m_s": np.array([0.9, 1.8])}
     known = {n: np.array([1.0, 0.9]) for n in ("impact_speed_m_s", "arrival_s")}
     panels: list[Panel] = list(
-        stroke.figures(loaded, Table({}, numbers | known, 2))["curves"].stacks[0].panels
+        loaded.file.draw(loaded, Table({}, numbers | known, 2))["curves"].stacks[0].panels
     )
     assert [panel.unit for panel in panels] == ["mm", "bar", "bar"]
     light, heavy = (line.y for line in panels[0].series)
@@ -122,4 +121,5 @@ def test_strokes_of_a_small_study_lie_over_one_time(tmp_path: Path) -> None:
     ],
 )
 def test_an_axis_has_the_unit_of_what_is_swept(sweep: Sweep, label: tuple[str, float]) -> None:
-    assert axis_of(sweep) == label
+    metric = sweep_metric(sweep)
+    assert (metric.axis, metric.factor) == label

@@ -13,8 +13,9 @@ from can_dbc.errors import InputError
 from sil.cli import main
 from sil.studies import executor
 from sil.studies.executor import run_study
-from sil.studies.figures import choices, choices_figure
+from sil.studies.figures import choices_figure
 from sil.studies.load_study import load_study, shipped
+from sil.studies.study import texts_of
 from sil.studies.table import RESULTS, read_table
 
 GRID = """
@@ -114,7 +115,7 @@ def test_a_row_is_what_the_run_gives(tmp_path: Path) -> None:
     rows = table(out)
     assert len(rows) == 4
     last = list(study.rows())[-1]
-    settings = [part for text in last.texts for part in ("--set", text)]
+    settings = [part for text in texts_of(last.settings) for part in ("--set", text)]
     assert main(["run", "lab_n_b", *settings, "--out", str(tmp_path / "run")]) in (0, 1)
     metrics = json.loads((tmp_path / "run" / "result.json").read_text())["metrics"]
     for name in ("shift_time_s", "impact_speed_m_s", "air_used_kg"):
@@ -223,15 +224,14 @@ def test_what_is_no_number_is_drawn_by_name(tmp_path: Path) -> None:
     assert run_study(study, tmp_path) == 6
     rows = table(tmp_path)
     read = read_table(study, tmp_path)
-    by = choices(study, read)
-    assert (by.kind, by.names) == ("load", ["9 bar", "7 bar", "6 bar"])
-    assert list(by.series) == ['""', '"N"']
     (stack,) = choices_figure(study, read).stacks
-    assert [name for _at, name in stack.ticks] == by.names
+    loads = [name for _at, name in stack.ticks]
+    assert (stack.title, loads) == ("By load", ["9 bar", "7 bar", "6 bar"])
+    assert [line.label for line in stack.panels[0].series] == ['""', '"N"']
     for line in stack.panels[0].series:
         expected = [
             1e3 * float(row["arrival_s"])
-            for name in by.names
+            for name in loads
             for row in rows
             if row["load"] == name and row["stroke.charged_before"] == line.label
         ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from plant.parameters import load as load_parameters
 from sil.simulation.load_scenario import load
 from sil.studies.kinds import budget as budgets
 from sil.studies.kinds.budget import BARS, THESIS_DELAYS_S, NoBudgetError, budget_of, simulated
+from sil.studies.study import Settings, texts_of
 
 
 @pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])
@@ -27,8 +27,8 @@ def test_group_delay_is_the_slope_of_the_phase(order: int, fc_hz: float) -> None
     )
 
 
-def latency_budget(scenario: str, settings: Sequence[str] = ()) -> dict[str, float]:
-    return budget_of(lambda texts: load(scenario, settings=list(texts)), settings)
+def latency_budget(scenario: str, settings: Settings | None = None) -> dict[str, float]:
+    return budget_of(lambda each: load(scenario, settings=texts_of(each)), settings or {})
 
 
 @pytest.mark.parametrize("supply_pa", [6e5, 9e5])
@@ -50,12 +50,12 @@ def test_today_the_stay_is_at_its_stop_long_before(today: dict[str, float]) -> N
     assert today["slack_s"] < -0.05
     assert max(BARS, key=lambda bar: today[simulated(bar)]) == "filter"
     without_build_up_s = today["spent_s"] - today[simulated("pressure build-up")]
-    assert without_build_up_s > sum(delay_s for _, delay_s in THESIS_DELAYS_S)
+    assert without_build_up_s > sum(THESIS_DELAYS_S.values())
 
 
 def test_a_shift_that_never_arrives_has_no_budget() -> None:
     with pytest.raises(NoBudgetError, match="never arrives"):
-        latency_budget("lab_n_b", ["plant.supply_pressure_pa=102000.0", "duration_s=0.4"])
+        latency_budget("lab_n_b", {"plant.supply_pressure_pa": 102000.0, "duration_s": 0.4})
 
 
 def test_in_the_truck_the_part_after_the_block_is_shorter_than_any_reaction() -> None:

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from sil.studies.figures import pareto_figure
-from sil.studies.kinds import stroke
 from sil.studies.load_study import load_study
-from sil.studies.rows import run_row
-from sil.studies.study import LoadedStudy, Row
-from sil.studies.table import Table
+from sil.studies.study import Row, Study, Table
 
 DESIGN = """
 name = "s"
@@ -32,32 +29,30 @@ scale = "log"
 
 
 @pytest.fixture
-def study(tmp_path: Path) -> LoadedStudy:
+def study(tmp_path: Path) -> Study:
     (tmp_path / "s.toml").write_text(DESIGN)
     return load_study(str(tmp_path / "s.toml"))
 
 
-def test_a_stroke_counts_every_impact(study: LoadedStudy) -> None:
+def test_a_stroke_counts_every_impact(study: Study) -> None:
     """A brake that comes too soon: the pistons hit harder than the stay."""
-    found = run_row(study, Row(0, (), {"valve.D_fall": 0.005})).figures
+    found = study.run(Row(0, (), {"valve.D_fall": 0.005})).figures
     assert found["impact_worst_m_s"] > 1.1 * found["impact_speed_m_s"] > 0.0
     assert found["air_used_kg"] > 1e-4
 
 
-def test_the_final_volume_is_what_chamber_n_keeps_in_gear(study: LoadedStudy) -> None:
+def test_the_final_volume_is_what_chamber_n_keeps_in_gear(study: Study) -> None:
     nominal, same, small = (
-        run_row(
-            study, Row(0, (), {} if m3 is None else {f"stroke.{stroke.FINAL_VOLUME}": m3})
-        ).figures
+        study.run(Row(0, (), {} if m3 is None else {"stroke.final_volume_m3": m3})).figures
         for m3 in (None, 2.8e-5, 2e-6)
     )
     assert same["impact_speed_m_s"] == pytest.approx(nominal["impact_speed_m_s"], abs=1e-4)
     assert small["passive_peak_pa"] > 1.2 * nominal["passive_peak_pa"]
 
 
-def test_nothing_is_better_than_the_front_in_both(study: LoadedStudy) -> None:
-    rows = [run_row(study, row) for row in study.rows()]
-    numbers = {name: [row.figures[name] for row in rows] for name in stroke.COLUMNS}
+def test_nothing_is_better_than_the_front_in_both(study: Study) -> None:
+    rows = [study.run(row) for row in study.rows()]
+    numbers = {name: [row.figures[name] for row in rows] for name in study.file.columns()}
     table = Table({}, {name: np.array(values) for name, values in numbers.items()}, len(rows))
     dots, front = pareto_figure(study, table).stacks[0].panels[0].series
     assert len(dots.x) == 8 and 1 <= len(front.x) <= 8
@@ -67,17 +62,17 @@ def test_nothing_is_better_than_the_front_in_both(study: LoadedStudy) -> None:
 
 
 def test_a_front_shows_the_unchanged_actuator_without_and_with_the_oil_damper(
-    study: LoadedStudy,
+    study: Study,
 ) -> None:
-    rows = [(row, run_row(study, row)) for row in study.rows()]
-    numbers = {name: [found.figures[name] for _, found in rows] for name in stroke.COLUMNS}
+    rows = [(row, study.run(row)) for row in study.rows()]
+    numbers = {name: [found.figures[name] for _, found in rows] for name in study.file.columns()}
     swept = "effect.exhaust_clog.factor"
     numbers[swept] = [float(str(row.settings[swept])) for row, _ in rows]
     table = Table({}, {name: np.array(values) for name, values in numbers.items()}, len(rows))
-    panel = stroke.figures(study, table)["pareto"].stacks[0].panels[0]
+    panel = study.file.draw(study, table)["pareto"].stacks[0].panels[0]
     plain, damped = panel.notes
     assert (plain.text, damped.text) == ("nothing changed", "oil damper")
-    nominal = run_row(study, Row(0, (), {})).figures
+    nominal = study.run(Row(0, (), {})).figures
     assert plain.x == 1e3 * nominal["arrival_s"]
     assert damped.y < 0.5 * plain.y
 
@@ -91,10 +86,10 @@ def test_a_front_needs_no_reference_of_an_effect_with_more_parameters(tmp_path: 
         + f'[[load]]\nname = "bump"\nset = {{ "{bump}position_m" = 0.006, "{bump}width_m" = 0.001 }}\n'
     )  # fmt: skip
     study = load_study(str(tmp_path / "s.toml"))
-    rows = [(row, run_row(study, row)) for row in study.rows()]
-    numbers = {name: [found.figures[name] for _, found in rows] for name in stroke.COLUMNS}
+    rows = [(row, study.run(row)) for row in study.rows()]
+    numbers = {name: [found.figures[name] for _, found in rows] for name in study.file.columns()}
     numbers[f"{bump}force_n"] = [float(str(row.settings[f"{bump}force_n"])) for row, _ in rows]
     texts = {"load": ["bump"] * len(rows)}
     table = Table(texts, {name: np.array(values) for name, values in numbers.items()}, len(rows))
-    notes = stroke.figures(study, table)["pareto"].stacks[0].panels[0].notes
+    notes = study.file.draw(study, table)["pareto"].stacks[0].panels[0].notes
     assert [note.text for note in notes] == ["nothing changed", "oil damper"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,20 +12,20 @@ from sil.cli import main
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded, load
 from sil.studies.kinds import tuning
-from sil.studies.kinds.tuning import Arrival
-from sil.studies.study import TuningTable
+from sil.studies.kinds.tuning import Arrival, TuningTable
+from sil.studies.study import Settings, texts_of
 
 
-def lab(settings: Sequence[str]) -> Loaded:
-    return load("lab_n_b", settings=list(settings))
+def lab(settings: Settings) -> Loaded:
+    return load("lab_n_b", settings=texts_of(settings))
 
 
-QUICK = (
-    "sensor.period_s=0.0025",
-    "controller.period_s=0.0025",
-    "controller.filter=false",
-    "valve.D_fall=0.005",
-)
+QUICK: Settings = {
+    "sensor.period_s": 0.0025,
+    "controller.period_s": 0.0025,
+    "controller.filter": False,
+    "valve.D_fall": 0.005,
+}
 
 
 def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
@@ -39,11 +38,11 @@ def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
 
 @pytest.mark.parametrize("strategy", list(tuning.SPACES))
 def test_every_candidate_is_a_setting_that_the_strategy_takes(strategy: str) -> None:
-    found = tuning.candidates(strategy, 9, 3)
+    found = tuning.spread_values(strategy, 9, 3)
     assert len(found) == (9 if tuning.SPACES[strategy] else 1)
     assert found[0] == {}
-    assert found == tuning.candidates(strategy, 9, 3)
-    assert not found[1:] or found[1:] != tuning.candidates(strategy, 9, 4)[1:]
+    assert found == tuning.spread_values(strategy, 9, 3)
+    assert not found[1:] or found[1:] != tuning.spread_values(strategy, 9, 4)[1:]
     for parameters in found:
         made = strategies.parameters(strategy, parameters)
         for name, value in parameters.items():
@@ -67,16 +66,16 @@ def test_the_best_is_no_worse_than_the_defaults_and_runs_again_the_same() -> Non
 @pytest.mark.parametrize(
     ("settings", "age_s"),
     [
-        ([], 0.00455),
-        (["sensor.delay_s=0.01"], 0.01455),
-        (["sensor.period_s=0.0025", "controller.period_s=0.0025"], 0.00205),
+        ({}, 0.00455),
+        ({"sensor.delay_s": 0.01}, 0.01455),
+        ({"sensor.period_s": 0.0025, "controller.period_s": 0.0025}, 0.00205),
     ],
 )
-def test_strategies_with_a_model_know_their_hardware(settings: list[str], age_s: float) -> None:
-    given = tuning.hardware_settings("predictive", lab([*settings, "valve.D_fall=0.0123"]))
-    values = [float(text.partition("=")[2]) for text in given]
+def test_strategies_with_a_model_know_their_hardware(settings: Settings, age_s: float) -> None:
+    hardware = lab({**settings, "valve.D_fall": 0.0123})
+    values = list(tuning.hardware_settings("predictive", hardware).values())
     assert values == [0.008, 0.0123, pytest.approx(age_s, abs=1e-9)]
-    assert tuning.hardware_settings("air_cushion", lab(settings)) == []
+    assert tuning.hardware_settings("air_cushion", lab(settings)) == {}
 
 
 TUNING = """
@@ -113,11 +112,11 @@ def test_a_study_of_tunings_tells_parameters_that_run_again(tmp_path: Path) -> N
     assert float(rows[1]["cost_m_s"]) <= float(rows[1]["default_cost_m_s"])
     assert float(rows[1]["cost_m_s"]) < float(rows[0]["cost_m_s"])
     names = [name for name in rows[1] if name.startswith("best.") and rows[1][name]]
-    settings = [
-        *QUICK,
-        "controller.strategy=air_cushion",
-        "plant.supply_pressure_pa=600000.0",
-        *(f"controller.strategy_parameters.{name[5:]}={rows[1][name]}" for name in names),
-    ]
+    settings: Settings = {
+        **QUICK,
+        "controller.strategy": "air_cushion",
+        "plant.supply_pressure_pa": 600000.0,
+        **{f"controller.strategy_parameters.{n[5:]}": float(rows[1][n]) for n in names},
+    }
     shift = run_in_memory(lab(settings)).shifts[-1]
     assert shift.impact_speed_m_s == float(rows[1]["impact_m_s lab, 6 bar"])

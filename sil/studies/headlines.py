@@ -1,0 +1,179 @@
+"""Headlines as data (headlines.toml): what each compares, and how a row of a study measures that."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from can_dbc import typed_toml
+from can_dbc.errors import RunError
+from plant.errors import IntegrationError
+from plant.parameters import ParameterSet
+from sil.simulation import load_scenario
+from sil.simulation.in_memory import run_in_memory
+from sil.studies.policies import GEARBOX, PUSH, Arrivals, FamilyModel
+from sil.studies.study import ScenarioStudy, Setting, Settings, texts_of
+
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class Measure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The greatest value over shifts or strokes: hardest impact, arrival, time from release to stop.
+
+    One of: `value`; `strokes`, the plain push of the plant alone with this load on the gearbox, with
+    all impulses or one; `scenario` with changes; `study`, rows with some choices at its first points.
+    """
+
+    of: Literal["impact_m_s", "arrival_s", "last_part_s"] = "impact_m_s"
+    value: float | None = None
+    strokes: Literal["none", "damper"] | None = None
+    impulse_n_s: float | None = None
+    scenario: str = ""
+    set: dict[str, Setting] = {}
+    study: str = ""
+    choices: dict[str, str] = {}
+    points: int = 1
+
+
+class Headline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A sentence that holds where `more` exceeds `less`; its margin is their difference."""
+
+    name: str
+    text: str
+    more: Measure
+    less: Measure
+
+
+@functools.cache
+def shipped_headlines() -> tuple[Headline, ...]:
+    """Return the headlines of "Why feedback fails"."""
+    path = Path(__file__).parent / "headlines.toml"
+    tables = typed_toml.read_toml(path)["headline"]
+    return typed_toml.convert(tables, tuple[Headline, ...], str(path))
+
+
+class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a row changes of all strokes and shifts; None: as each headline has it.
+
+    impulse_factor: on what the synchronizer asks for; scatter_factor: on the scatter of a study.
+    """
+
+    supply_pressure_pa: Annotated[float, msgspec.Meta(ge=1e5)] | None = None
+    mesh_force_n: NotNegative | None = None
+    impulse_factor: NotNegative = 1.0
+    scatter_factor: NotNegative = 1.0
+
+
+@dataclass(eq=False)
+class Case:
+    """The model, the settings of scenarios and the conditions under which a row measures."""
+
+    model: str
+    parameters: ParameterSet
+    settings: Settings
+    conditions: Conditions
+
+    def __post_init__(self) -> None:
+        self._values: dict[bytes, float] = {}
+        self._arrivals: dict[str, Arrivals] = {}
+
+    def margin(self, headline: Headline) -> float:
+        """Return by how much a headline holds; what two headlines share is measured once.
+
+        Raises InputError for settings that a scenario does not accept, RunError if a run fails.
+        """
+        for measure in (headline.more, headline.less):
+            key = msgspec.json.encode(measure)
+            if key not in self._values:
+                self._values[key] = self._measured(measure)
+        more, less = (self._values[msgspec.json.encode(m)] for m in (headline.more, headline.less))
+        return more - less
+
+    def _measured(self, measure: Measure) -> float:
+        if measure.value is not None:
+            return measure.value
+        if measure.strokes is not None:
+            arrivals = self._pushed(measure.strokes)
+            values = arrivals.impact_worst_m_s[0]
+            if measure.of == "last_part_s":
+                values = arrivals.arrival_s[0] - arrivals.revealed_s[0]
+            impulses_n_s = [case.sync_impulse_n_s for case in GEARBOX.cases]
+            one = measure.impulse_n_s
+            return float(values.max() if one is None else values[impulses_n_s.index(one)])
+        shifts = self._rows(measure) if measure.study else [self._changed(measure)]
+        return max(self._last_shift(*shift)[measure.of == "arrival_s"] for shift in shifts)
+
+    def _pushed(self, load: str) -> Arrivals:
+        """Return the plain push of the plant alone under the gearbox loads."""
+        if load not in self._arrivals:
+            family = GEARBOX.under(load=load, atmosphere_pa=self.parameters.value("gas.P_atm"))
+            for name in ("supply_pressure_pa", "mesh_force_n"):
+                value = getattr(self.conditions, name)
+                family = family if value is None else family.under(**{name: value})
+            family = family.with_impulses(self.conditions.impulse_factor)
+            try:
+                model = FamilyModel(self.parameters, family)
+                self._arrivals[load] = model.arrivals([PUSH.commands])
+            except IntegrationError as error:
+                raise RunError(str(error)) from None
+        return self._arrivals[load]
+
+    def _changed(self, measure: Measure) -> tuple[str, dict[str, Setting]]:
+        """Return a scenario and its settings under the conditions."""
+        conditions, settings = self.conditions, dict(measure.set)
+        plain = load_scenario.load(measure.scenario, settings=texts_of(settings)).scenario
+        if conditions.supply_pressure_pa is not None:
+            settings["plant.supply_pressure_pa"] = conditions.supply_pressure_pa
+        if conditions.mesh_force_n is not None and plain.plant.mounted:
+            settings["plant.mesh_force_n"] = conditions.mesh_force_n
+        impulse_n_s = plain.driveline.impulse_backward_n_s
+        if impulse_n_s is not None:
+            settings["driveline.impulse_backward_n_s"] = impulse_n_s * conditions.impulse_factor
+        return measure.scenario, settings
+
+    def _rows(self, measure: Measure) -> Iterator[tuple[str, dict[str, Setting]]]:
+        """Yield the scenario and the settings under the conditions of the rows of a study."""
+        from sil.studies.load_study import load_study
+
+        study = load_study(measure.study)
+        file, conditions = study.file, self.conditions
+        assert isinstance(file, ScenarioStudy)
+        for row in itertools.islice(study.rows(), measure.points * study.size // len(study.points)):
+            if (
+                not measure.choices.items()
+                <= dict(zip(file.groups, row.choices, strict=True)).items()
+            ):
+                continue
+            value: dict[str, float] = {p: x for p, x in row.settings.items() if type(x) is float}
+            for sweep in file.sweep:
+                if sweep.scale == "normal":
+                    centre = 0.5 * sum(sweep.ends)
+                    value[sweep.path] = centre + conditions.scatter_factor * (
+                        value[sweep.path] - centre
+                    )
+            if conditions.supply_pressure_pa is not None:
+                value["plant.supply_pressure_pa"] *= (
+                    conditions.supply_pressure_pa / PUSH.supply_pressure_pa
+                )
+            if conditions.mesh_force_n is not None:
+                value["plant.mesh_force_n"] = conditions.mesh_force_n
+            value["driveline.impulse_backward_n_s"] *= conditions.impulse_factor
+            yield file.scenario, {**row.settings, **value}
+
+    def _last_shift(self, scenario: str, settings: Settings) -> tuple[float, float]:
+        """Return hardest impact in m/s and arrival in s of a scenario's last shift.
+
+        One that does not arrive counts as 2 m/s, harder than every impact, and 1 s.
+        """
+        model = None if self.model == "nominal" else self.model
+        texts = texts_of({**self.settings, **settings})
+        shift = run_in_memory(load_scenario.load(scenario, model=model, settings=texts)).shifts[-1]
+        if shift.arrived_s is None or shift.impact_worst_m_s is None:
+            return 2.0, 1.0
+        return shift.impact_worst_m_s, shift.arrived_s
