@@ -12,7 +12,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parent
@@ -111,9 +111,13 @@ def keys() -> Iterator[str]:
     shown = examples()
     study = describe(StudyFile)
     common = {key.key for key in study if not key.table}
+    tables_of_all = {key.table for key in study if key.table}
     for record in get_args(StudyKind):
-        study += [key for key in describe(record) if key.table not in ("[design]", "[[sweep]]",
-                  "[[load]]", "[[strategy]]", "[[variant]]") and key.key not in common]
+        study += [
+            key
+            for key in describe(record)
+            if key.table not in tables_of_all and not (key.key in common and "kind" in key.table)
+        ]
     for title, kind, rows_of in (
         ("Scenario", "scenario", describe(Scenario)),
         ("Study", "study", study),

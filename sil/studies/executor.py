@@ -18,14 +18,14 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, RunError
 from sil.files.atomic import write_atomically
-from sil.files.cluster import on_cluster
 from sil.files.worker import in_processes
 from sil.studies.study import Row, Study
 from sil.studies.table import RESULTS
 
 STATE = "study.json"
+RESUME = "the finished rows are stored; add --resume to continue"
 Progress = Callable[[int, int], None]
 
 
@@ -116,15 +116,43 @@ def _results(
     study: Study, wanted: list[tuple[int, int]], workers: int, cluster: str | None
 ) -> Iterator[list[str]]:
     """Yield the lines of each chunk, in order."""
-    advice = "the finished rows are stored; add --resume to continue"
     yield from (run_chunk(study, piece) for piece in wanted[:1])
     rest = wanted[1:]
     if cluster is not None and wanted:
-        yield from on_cluster(partial(_run_sent_chunk, study), rest, cluster, advice)
+        yield from _on_cluster(study, rest, cluster)
     elif workers > 1 and rest:
-        yield from in_processes(partial(run_chunk, study), rest, workers, advice)
+        yield from in_processes(partial(run_chunk, study), rest, workers, RESUME)
     else:
         yield from (run_chunk(study, piece) for piece in rest)
+
+
+def _on_cluster(
+    study: Study, pieces: Sequence[tuple[int, int]], address: str
+) -> Iterator[list[str]]:
+    """Yield the lines of each chunk from the workers of a dask.distributed scheduler, in order."""
+    try:
+        from distributed import Client
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+    except ImportError:
+        raise InputError(
+            "--cluster: dask.distributed is not installed; expected the extra 'cluster'"
+        ) from None
+    try:
+        client = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise RunError(f"--cluster {address}: cannot be reached: {error}") from None
+    try:
+        if not client.scheduler_info()["workers"]:
+            raise RunError(f"--cluster {address}: the scheduler has no workers; expected some")
+        work = partial(_run_sent_chunk, study)
+        for future in client.map(work, pieces, pure=False, retries=2):
+            yield future.result()
+            future.release()
+    except (KilledWorker, FutureCancelledError, OSError) as error:
+        raise RunError(f"--cluster {address}: lost: {error}; {RESUME}") from None
+    finally:
+        client.close()
 
 
 def _run_sent_chunk(study: Study, numbers: tuple[int, int]) -> list[str]:

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from can_dbc import typed_toml
 from docs.generate import FOLDER, examples, generated
 from sil import cli
 from sil.simulation.load_scenario import from_table
 from sil.simulation.load_scenario import shipped as scenarios
+from sil.studies.load_study import read_file
 from sil.studies.load_study import shipped as studies
-from sil.studies.study import Study
 from tests.conftest import ROOT
 from tests.docs.pages import DOCS, PAGES, prose
 
@@ -57,7 +56,10 @@ def test_examples_of_scenario_keys_are_accepted(table: str) -> None:
 @pytest.mark.parametrize("table", examples()["study"])
 def test_examples_of_study_keys_are_accepted(table: str) -> None:
     start = {"name": "example", "scenario": "lab_n_b", "reads": ["shift_time_s"]}
-    typed_toml.convert({**start, **tomllib.loads(examples()["study"][table])}, Study, table)
+    example = tomllib.loads(examples()["study"][table])
+    if "stroke" in example:
+        del start["scenario"]
+    read_file({**start, **example}, table)
 
 
 def test_the_readme_is_one_page() -> None:

@@ -1,7 +1,7 @@
 """Rows that weigh assumptions: by how much each headline holds under other inferred numbers.
 
 A row sets parameters of the model, `factor.NAME` (see `sil.studies.assumptions`), conditions of the
-strokes, `stroke.NAME` (`sil.studies.headlines.Conditions`), and filter and latency of the runs in
+strokes, `stroke.NAME` (`sil.studies.kinds.headlines.Conditions`), and filter and latency of the runs in
 closed loop. Each figure is a margin: the headline holds where it is positive. Designs:
 `one_at_a_time` gives the range in which each headline holds; `radial` gives Sobol's total indices by
 Jansen's estimator, with bootstrapped intervals.
@@ -22,7 +22,7 @@ from sil.recording.runs import true_runs
 from sil.report.figure import Figure, Panel, Rule, Span, Stack
 from sil.studies.assumptions import CONDITIONS, FACTORS, NOT_VARIED
 from sil.studies.figures import metric_of, numbered, title_of
-from sil.studies.headlines import Case, Conditions, Headline, shipped_headlines
+from sil.studies.kinds.headlines import Case, Conditions, Headline, shipped_headlines
 from sil.studies.study import Row, RowResult, Setting, Study, StudyFile, Table
 from sil.studies.table import markdown
 

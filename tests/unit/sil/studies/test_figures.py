@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sil.report.figure import Panel
+from sil.studies.design import Sweep
 from sil.studies.figures import MAX_DOTS, sweep_metric, swept_figures
 from sil.studies.load_study import load_study
-from sil.studies.design import Sweep
 from sil.studies.study import Study, Table
 
 LOOP = """

@@ -15,7 +15,7 @@ from sil.cli import main
 from sil.report.figure import Floats
 from sil.studies.assumptions import FACTORS, NOT_VARIED, inferred, varied
 from sil.studies.design import Design, Sweep, drawn_shares
-from sil.studies.headlines import shipped_headlines
+from sil.studies.kinds.headlines import shipped_headlines
 from sil.studies.kinds.sensitivity import holds, in_words, total_indices
 from sil.studies.load_study import load_study
 from sil.studies.study import Row, Study, Table

@@ -17,8 +17,9 @@ from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
+from sil.studies.kinds.runs import RunsStudy
 from sil.studies.policies import GEARBOX, PUSH, Arrivals, FamilyModel
-from sil.studies.study import ScenarioStudy, Setting, Settings, texts_of
+from sil.studies.study import Setting, Settings, Study, texts_of
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
@@ -139,11 +140,9 @@ class Case:
 
     def _rows(self, measure: Measure) -> Iterator[tuple[str, dict[str, Setting]]]:
         """Yield the scenario and the settings under the conditions of the rows of a study."""
-        from sil.studies.load_study import load_study
-
-        study = load_study(measure.study)
-        file, conditions = study.file, self.conditions
-        assert isinstance(file, ScenarioStudy)
+        path = Path(__file__).parents[1] / "shipped" / f"{measure.study}.toml"
+        file = typed_toml.convert(typed_toml.read_toml(path), RunsStudy, str(path))
+        study, conditions = Study(file, str(path)), self.conditions
         for row in itertools.islice(study.rows(), measure.points * study.size // len(study.points)):
             if (
                 not measure.choices.items()
