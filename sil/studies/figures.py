@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.parameters import load
 from sil.files import quantity
-from sil.report.figure import Band, ColourScale, Figure, Floats, Note, Panel, Series, Span, Stack
+from sil.report.figure import Band, ColourScale, Figure, Note, Panel, Series, Span, Stack
 from sil.report.theme import SERIES
 from sil.studies.design import Sweep
 from sil.studies.study import Study, Table
 from sil.studies.table import read_metrics
 
-Ints = NDArray[np.int64]
 MAX_DOTS = 2000
 """Of a larger study every so-many-th row is drawn as a dot; results.csv has them all."""
 
@@ -241,49 +239,20 @@ def _map_figure(study: Study, table: Table) -> Figure:
     metric = metric_of(read_metrics(study)[0])
     values = metric.factor * table.numbers[read_metrics(study)[0]]
     scale = ColourScale(metric.axis, float(np.nanmin(values)), float(np.nanmax(values)))
+    places, axes, ticks = [], [], []
+    for sweep in study.file.sweep:
+        levels, place = np.unique(table.numbers[sweep.path], return_inverse=True)
+        across, stride = sweep_metric(sweep), -(-len(levels) // 10)
+        places.append(place)
+        axes.append(across.axis)
+        texts = [f"{value:g}" for value in np.unique(across.factor * levels)]
+        ticks.append([(float(k), text) for k, text in enumerate(texts) if k % stride == 0])
     stacks = []
     for name, rows in study.row_groups(table).items():
-        panel = map_panel(study, table, grid_of(study, table, rows, values), scale)
-        stacks.append(map_stack(study, table, [panel], name))
+        grid = np.full((places[1].max() + 1, places[0].max() + 1), np.nan)
+        np.fmax.at(grid, (places[1][rows], places[0][rows]), values[rows])
+        spans = scale.cells(grid, ("{:.2f}" if grid.size <= 100 else "").format)
+        limits = (-0.5, grid.shape[0] - 0.5)
+        panel = Panel(axes[1], spans=spans, scale=scale, ticks=ticks[1], limits=limits, height=260)
+        stacks.append(Stack(axes[0], [panel], name, ticks=ticks[0], width=3.6))
     return Figure(stacks, title_of(study), same_scale=True)
-
-
-def grid_of(study: Study, table: Table, rows: Ints, values: Floats) -> Floats:
-    """Return the greatest of the values [rows] at each point of a grid [second sweep, first sweep].
-
-    values: of all rows of the table, in any unit. NaN where no row has a value.
-    """
-    i, j = cells_of(study, table)
-    grid = np.full((i.max() + 1, j.max() + 1), np.nan)
-    np.fmax.at(grid, (i[rows], j[rows]), values[rows])
-    return grid
-
-
-def cells_of(study: Study, table: Table) -> tuple[Ints, Ints]:
-    """Return the grid indices [rows] of each row of the table: second sweep, first sweep."""
-    first, second = (table.numbers[sweep.path] for sweep in study.file.sweep)
-    return np.searchsorted(np.unique(second), second), np.searchsorted(np.unique(first), first)
-
-
-def map_panel(
-    study: Study, table: Table, grid: Floats, scale: ColourScale, frames: Sequence[Span] = ()
-) -> Panel:
-    """Return a map of a grid [second sweep, first sweep], in the unit of the scale."""
-    axis, ticks = _swept_ticks(table, study.file.sweep[1])
-    spans = [*scale.cells(grid, ("{:.2f}" if grid.size <= 100 else "").format), *frames]
-    limits = (-0.5, grid.shape[0] - 0.5)
-    return Panel(axis, spans=spans, scale=scale, ticks=ticks, limits=limits, height=260)
-
-
-def map_stack(study: Study, table: Table, panels: Sequence[Panel], title: str) -> Stack:
-    """Return maps one above the other over the first swept value."""
-    axis, ticks = _swept_ticks(table, study.file.sweep[0])
-    return Stack(axis, panels, title, ticks=ticks, width=3.6)
-
-
-def _swept_ticks(table: Table, sweep: Sweep) -> tuple[str, list[tuple[float, str]]]:
-    """Return the axis of a swept value and (index, text) for at most about ten of its values."""
-    metric = sweep_metric(sweep)
-    levels = np.unique(metric.factor * table.numbers[sweep.path])
-    stride = -(-len(levels) // 10)
-    return metric.axis, [(float(k), f"{v:g}") for k, v in enumerate(levels) if k % stride == 0]

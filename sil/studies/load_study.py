@@ -11,7 +11,7 @@ from msgspec import structs
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.simulation import load_scenario
-from sil.studies.study import ScenarioStudy, Study, StudyFile, check_rows
+from sil.studies.study import ScenarioStudy, Study, StudyFile, check_rows, filled
 
 
 def shipped() -> dict[str, Path]:
@@ -29,6 +29,11 @@ def load_study(where: str, effects: Sequence[str] = (), model: str | None = None
     """
     path = _path_of(where)
     file = read_file(typed_toml.read_toml(path), str(path))
+    groups = {
+        group: [each for choice in getattr(file, group) for each in filled(choice, file.each)]
+        for group in ("load", "strategy", "variant")
+    }
+    file = structs.replace(file, **groups)
     if model is not None:
         file = structs.replace(file, model=model)
     files = [str(path.parent / name) for name in file.effects] + list(effects)

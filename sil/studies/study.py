@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -82,6 +82,9 @@ class Table:
 class StudyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The keys that every study file has. A module of `sil.studies.kinds` adds those of its kind."""
 
+    rows_together: ClassVar[int] = 1
+    """How many rows in sequence a worker takes at a time."""
+
     name: Name
     """Name of the study."""
     description: str = ""
@@ -100,19 +103,23 @@ class StudyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Strategies that are compared."""
     variant: list[Choice] = []
     """Variants of the hardware that are compared."""
+    each: dict[str, list[Value | list[Value]]] = {}
+    """Values of {placeholders}: a choice with some is one for each combination of their values.
+    Values of placeholders named together, "a b", are lists of one value for each."""
     reads: list[str] = []
     """Metrics that the summary and the figures show first."""
+
+    def __post_init__(self) -> None:
+        for names, rows in self.each.items():
+            size = len(names.split())
+            if any(len(row if isinstance(row, list) else [row]) != size for row in rows):
+                raise InputError(f"each.{names}: expected {size} values for each")
 
     @property
     def groups(self) -> dict[str, list[Choice]]:
         """The choices that multiply the rows, by kind, in column order."""
         groups = {"variant": self.variant, "strategy": self.strategy, "load": self.load}
         return {name: choices for name, choices in groups.items() if choices}
-
-    @property
-    def rows_together(self) -> int:
-        """How many rows in sequence a worker takes at a time."""
-        return 1
 
     def check(self, source: str) -> None:
         """Refuse what no other study of this kind could run. Raises InputError."""
@@ -224,6 +231,35 @@ class Study:
         parts = zip(*(table.texts[name] for name in self.file.groups), strict=True)
         labels = np.array([" / ".join(part) for part in parts])
         return {str(label): np.flatnonzero(labels == label) for label in dict.fromkeys(labels)}
+
+
+def filled(choice: Choice, each: Mapping[str, list[Value | list[Value]]]) -> Iterator[Choice]:
+    """Yield a choice for each combination of values of the placeholders that it has."""
+    axes = [
+        [
+            dict(zip(names.split(), row if isinstance(row, list) else [row], strict=True))
+            for row in rows
+        ]
+        for names, rows in each.items()
+        if any(f"{{{name}}}" in str(choice) for name in names.split())
+    ]
+    for parts in itertools.product(*axes):
+        values = {f"{{{name}}}": value for part in parts for name, value in part.items()}
+        name, settings = _filled([choice.name, choice.set], values)
+        yield Choice(name, settings)
+
+
+def _filled(item: Any, values: Mapping[str, Value]) -> Any:
+    if isinstance(item, dict):
+        return {_filled(key, values): _filled(value, values) for key, value in item.items()}
+    if isinstance(item, list):
+        return [_filled(each, values) for each in item]
+    if isinstance(item, str):
+        if item in values:
+            return values[item]
+        for placeholder, value in values.items():
+            item = item.replace(placeholder, str(value))
+    return item
 
 
 def check_rows(file: StudyFile, source: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,9 @@ from sil.studies.study import Row, RowResult, ScenarioStudy, Study, Table
 class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag="runs"):
     """A row is one run of the scenario. The default kind."""
 
+    rows_together: ClassVar[int] = 16
     safety: bool = False
     """Report what the faults of each row did (detection, end state, damage); write fault_table.md."""
-
-    @property
-    def rows_together(self) -> int:
-        """How many rows in sequence a worker takes at a time."""
-        return 16
 
     def columns(self) -> tuple[str, ...]:
         """Return the figures of the last shift, of a safety study also those of `sil.simulation.safety`."""

@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -68,29 +68,18 @@ class StrokeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def conditions(self) -> StrokeConditions:
         """Return the stroke as the plant takes it."""
-        return StrokeConditions(
-            kind=self.kind,
-            commands=tuple(self.commands),
-            supply_pressure_pa=self.supply_pressure_pa,
-            load=self.load,
-            damper_model=self.damper_model,
-            charged_before=tuple(self.charged_before),
-            mounted=self.mounted,
-            mesh_force_n=self.mesh_force_n,
-            sync_impulse_n_s=self.sync_impulse_n_s,
-        )
+        values = msgspec.structs.asdict(self)
+        del values["until_s"], values["final_volume_m3"]
+        lists = {name: tuple(values[name]) for name in ("commands", "charged_before")}
+        return StrokeConditions(**(values | lists))
 
 
 class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="stroke"):
     """A row is one stroke of the plant alone. The default kind of a file with [stroke]."""
 
+    rows_together: ClassVar[int] = 16
     stroke: StrokeTable
     """Stroke of the plant alone that is simulated."""
-
-    @property
-    def rows_together(self) -> int:
-        """How many rows in sequence a worker takes at a time."""
-        return 16
 
     def columns(self) -> tuple[str, ...]:
         """Return the figures of a stroke."""

@@ -20,26 +20,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from can_dbc.errors import InputError, RunError
 from controller import strategies
-from sil.report.figure import VIRIDIS, ColourScale, Figure, Panel, Span, Stack
+from sil.report.figure import Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
-from sil.studies.figures import (
-    cells_of,
-    grid_of,
-    map_panel,
-    map_stack,
-    numbered,
-    row_labels,
-    title_of,
-)
+from sil.studies.figures import numbered, row_labels, title_of
 from sil.studies.kinds.budget import filter_delay_s
 from sil.studies.study import Choice, Row, RowResult, ScenarioStudy, Settings, Study, Table
 
@@ -195,10 +186,31 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         return RowResult(figures, "failed" if reasons else "passed", "; ".join(reasons))
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:
-        """Return the worst impact of up to 64 rows by family, over a grid of two values also as maps."""
-        is_grid = self.design.kind == "grid" and len(self.sweep) == 2
-        figures = {"map": _maps_figure(study, table)} if is_grid else {}
-        return figures | ({"tuning": _worst_figure(study, table)} if table.size <= 64 else {})
+        """Return the worst impact of up to 64 rows over the loads of each family, as bars.
+
+        A family is what the names of loads have before their comma.
+        """
+        if table.size > 64:
+            return {}
+        families = list(dict.fromkeys(load.name.split(",")[0] for load in self.load))
+        spans = []
+        for n, family in enumerate(families):
+            low, width = 0.4 * (2 * n / len(families) - 1.0), 0.8 / len(families)
+            impacts_m_s = [table.numbers[f"impact_m_s {load.name}"] for load in self.load
+                           if load.name.split(",")[0] == family]  # fmt: skip
+            for k, worst in enumerate(np.max(impacts_m_s, axis=0)):
+                if np.isfinite(worst):
+                    spans.append(Span(0.0, worst, f"series{n}", "", k + low, k + low + 0.9 * width))
+        panel = Panel(
+            "Worst impact",
+            spans=spans,
+            ticks=numbered(row_labels(study, table)),
+            limits=(table.size - 0.5, -0.5),
+            keys=[(family, f"series{n}") for n, family in enumerate(families)],
+            height=60 + 20 * table.size,
+        )
+        stack = Stack("worst impact speed over the loads, m/s", [panel], width=7.0)
+        return {"tuning": Figure([stack], title_of(study))}
 
 
 def cost_m_s(arrival: Arrival, reference: Arrival, free_s: float, late_m_s2: float) -> float:
@@ -313,66 +325,3 @@ def tune(
         share = 0.25 * 0.2 ** (k / max(left - 1, 1))
         candidates.append(candidate(_nearby(strategy, best.parameters, share, rng)))
     return sorted(candidates, key=lambda each: each.cost_m_s)
-
-
-def _families(study: Study) -> list[str]:
-    """Return the part before the comma in the names of a tuning's loads, each once."""
-    return list(dict.fromkeys(load.name.split(",")[0] for load in study.file.load))
-
-
-def _impacts_m_s(table: Table, family: str, what: str = "impact_m_s") -> NDArray[np.float64]:
-    """Return the impact speed [loads, rows] under each load of a family, NaN for a failure."""
-    return np.array([v for n, v in table.numbers.items() if n.startswith(f"{what} {family}")])
-
-
-def _worst_figure(study: Study, table: Table) -> Figure:
-    """Return the worst impact of each row over the loads of each family, as bars."""
-    families = _families(study)
-    spans = []
-    for n, family in enumerate(families):
-        low, width = 0.4 * (2 * n / len(families) - 1.0), 0.8 / len(families)
-        for k, worst in enumerate(np.max(_impacts_m_s(table, family), axis=0)):
-            if np.isfinite(worst):
-                spans.append(Span(0.0, worst, f"series{n}", "", k + low, k + low + 0.9 * width))
-    panel = Panel(
-        "Worst impact",
-        spans=spans,
-        ticks=numbered(row_labels(study, table)),
-        limits=(table.size - 0.5, -0.5),
-        keys=[(family, f"series{n}") for n, family in enumerate(families)],
-        height=60 + 20 * table.size,
-    )
-    stack = Stack("worst impact speed over the loads, m/s", [panel], width=7.0)
-    return Figure([stack], title_of(study))
-
-
-def _maps_figure(study: Study, table: Table) -> Figure:
-    """Return maps of the worst impact over the two swept values: a row a family, a column a variant."""
-    scale = ColourScale("worst impact speed over the loads, m/s", 0.0, 1.4, VIRIDIS[::-1])
-    i, j = cells_of(study, table)
-    stacks = []
-    for variant, rows in study.row_groups(table).items():
-        panels = []
-        for family in _families(study):
-            ours, damper = (
-                _impacts_m_s(table, family, what) for what in ("impact_m_s", "damper_m_s")
-            )
-            soft: dict[Literal["frame", "dashed frame"], Any] = {
-                "frame": ours.max(axis=0) <= damper.max(axis=0),
-                "dashed frame": ours.mean(axis=0) <= damper.mean(axis=0),
-            }
-            frames = [
-                Span(j[k] - 0.45, j[k] + 0.45, "alarm", "", i[k] - 0.45, i[k] + 0.45, style)
-                for k in rows
-                for style in [style for style, which in soft.items() if which[k]][:1]
-            ]
-            grid = grid_of(study, table, rows, ours.max(axis=0))
-            panels.append(map_panel(study, table, grid, scale, frames))
-        stacks.append(map_stack(study, table, panels, variant))
-    return Figure(
-        stacks,
-        title_of(study),
-        f"{' above '.join(_families(study))}; framed: as soft as the oil damper in the worst of "
-        "the loads (dashed: in their mean only); empty: failed",
-        same_scale=True,
-    )

@@ -161,6 +161,7 @@ def test_space_filling_designs_repeat_and_fill(kind: str, tmp_path: Path) -> Non
             "swept, too",
         ),
         ('reads = ["speed"]\n' + GRID, r"reads\[0\]"),
+        (GRID + '[each]\n"a b" = [[1, 2], [3]]\n', "each.a b: expected 2 values"),
     ],
 )
 def test_bad_studies_are_one_line(text: str, message: str, tmp_path: Path) -> None:
@@ -183,6 +184,20 @@ def test_every_shipped_study_reads() -> None:
     assert {"piston_radius", "initial_volume", "final_volume", "closed_chamber"} <= set(names)
     for path in names.values():
         assert load_study(str(path)).size > 0
+
+
+def test_a_choice_with_placeholders_is_one_for_each_combination(tmp_path: Path) -> None:
+    """Values that are named together go together, and keep their type; other choices stay as they are."""
+    text = GRID.replace('"plain"', '"{k} at {where}"\nset = { "fixed.m_s" = "{mass}" }')
+    each = '[each]\n"k mass" = [["light", 0.5], ["heavy", 2.0]]\nwhere = ["front", "rear"]\n'
+    study = load_study(str(study_file(tmp_path, text + each)))
+    assert [(choice.name, choice.set["fixed.m_s"]) for choice in study.file.variant] == [
+        ("light at front", 0.5),
+        ("light at rear", 0.5),
+        ("heavy at front", 2.0),
+        ("heavy at rear", 2.0),
+        ("heavy, very", 3.0),
+    ]
 
 
 def test_chapter_five_studies_show_their_trend(tmp_path: Path) -> None:
