@@ -1,140 +1,114 @@
-"""MF4 (ASAM MDF 4) through asammdf: logs of CAN frames.
+"""MF4 (ASAM MDF 4, bus logging) by the library asammdf.
 
 asammdf is optional (the extra `mdf`) and slow to import: it is imported when an MF4 is read or
-written.
+written. A measurement is in memory as a whole. What asammdf cannot read is refused with the number
+of frames reached.
+Checked by: tests/unit/sil/logs/test_mf4.py, tests/contracts/test_log_formats.py
 """
 
 from __future__ import annotations
 
 import contextlib
-import heapq
 import io
 import logging
-import os
-import shutil
-import tempfile
 from collections.abc import Iterator
-from itertools import islice
-from operator import itemgetter
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from can_dbc.errors import InputError
 from sil.files.extras import import_extra
-from sil.files.quantity import counted
 from sil.logs.format import Batch, Format, time_base
-from sil.logs.frame import LogFrame, frame_problem
-from sil.logs.mf4_blocks import VARIABLE_LENGTH, Blocks
-from sil.logs.mf4_columns import NO_VALUE, Values, frames_of, numbers, stored_bytes, zero_rows
-from sil.logs.mf4_writer import Mf4Writer
+from sil.logs.frame import (
+    DLC_LENGTHS,
+    MAX_EXTENDED_ID,
+    MAX_STANDARD_ID,
+    MAX_TIME_NS,
+    LogFrame,
+    frame_problem,
+)
 from sil.logs.report import Location, LogReport, printable
 from sil.logs.source import ByteSource
+from sil.logs.writer import LogWriter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_FRAME_KINDS: Final = ("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")
-_OTHER_BUSES: Final = ("LIN", "FLEXRAY", "ETH", "MOST", "K-LINE", "CAN")
-_ROWS: Final = 2048
-"""Rows that become frames at once."""
-
-_FRAGMENT_BYTES: Final = 1 << 18
-"""Bytes of records that asammdf takes from the file at once."""
-
-_FLAGS_AT, _LEFT_TO_ASAMMDF = 60, 0b1100001
-"""Flags of what is unfinished in a file; of these, asammdf is left to count the records."""
-
-_COMPRESSION_DEFLATE: Final = 1
-_TOOL: Final = "opc4-sil"
+KINDS: Final = ("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")
+BATCH_FRAMES: Final = 2048
+EXACT_SPAN_NS: Final = 4_000_000 * 10**9
+"""Times are seconds in a double; up to here (46 days) these are exact to the ns."""
 
 
 def import_asammdf(path: str) -> Any:
     """Return the module asammdf. Raises InputError that names the extra if it is missing."""
     asammdf = import_extra("asammdf", "mdf", f"{path}: MF4")
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
-    asammdf.set_global_option("raise_on_incomplete_blocks", False)
-    asammdf.blocks.mdf_v4.MDF4.__del__ = _close_quietly
     return asammdf
 
 
-def _close_quietly(measurement: Any) -> None:
-    """Close a collected measurement; asammdf's own way fails on one that could not be opened."""
-    with contextlib.suppress(AttributeError):
-        measurement.close()
+def new_measurement(path: str, start_ns: int) -> Any:
+    """Return an empty MDF 4.10 measurement that starts at `start_ns` (0: relative times).
 
-
-def _copy(source: ByteSource) -> BinaryIO:
-    """Return a temporary file with the unpacked content of a file."""
-    copy: BinaryIO = tempfile.TemporaryFile()  # noqa: SIM115 closed by the caller
-    if source.packed:
-        while block := source.read(1 << 20):
-            copy.write(block)
-    else:
-        source.file.seek(0)
-        shutil.copyfileobj(source.file, copy, 1 << 20)
-    return copy
-
-
-class _Stream(NamedTuple):
-    """A channel group of CAN frames: its number, kind, and the channel of each part of a frame.
-
-    whole: the channel of all parts together, if there is one and no part is of variable length.
+    Nothing in it depends on the wall clock. Raises InputError if asammdf is missing.
     """
+    asammdf = import_asammdf(path)
+    from asammdf.blocks.v4_blocks import FileHistory
 
-    group: int
-    kind: str
-    parts: dict[str, int]
-    whole: int | None
+    measurement = asammdf.MDF(version="4.10")
+    history = FileHistory()
+    history.comment = (
+        "<FHcomment><TX>written</TX><tool_id>opc4-sil</tool_id><tool_vendor>opc4-sil</tool_vendor>"
+        "<tool_version>1</tool_version></FHcomment>"
+    )
+    measurement.file_history.append(history)
+    for block in (measurement.header, history):
+        block.abs_time = start_ns
+        block.tz_offset = block.daylight_save_time = block.time_flags = 0
+    return measurement
+
+
+def save(measurement: Any, file: BinaryIO) -> None:
+    """Write a measurement, compressed."""
+    content = io.BytesIO()  # the library asks a file for its name, which a temporary one has not
+    measurement.save(content, compression=1, add_history_block=False)
+    file.write(content.getvalue())
+
+
+def is_mf4(head: bytes) -> bool:
+    """Return whether a file that begins with these bytes is of MDF version 4."""
+    return head.startswith((b"MDF     4.", b"UnFinMF 4."))
 
 
 class Mf4File:
     """An MF4 file, open in asammdf; as a context manager it closes what it opened.
 
-    Raises InputError if the file is no MF4 or its structure is damaged.
+    Raises InputError if asammdf cannot open it.
     """
 
     def __init__(self, source: ByteSource, report: LogReport) -> None:
         self.report = report
+        self.frames = 0
         asammdf = import_asammdf(report.path)
-        head = source.head
-        if not is_mf4(head):
-            version = printable(head[8:16].decode("latin-1").strip("\x00 "))
-            what = f"MDF version {version!r}" if _recognise(head) else "byte 0: no MDF header"
+        if not is_mf4(source.head):
+            version = printable(source.head[8:16].decode("latin-1").strip("\x00 "))
+            what = (
+                f"MDF version {version!r}" if _recognise(source.head) else "byte 0: no MDF header"
+            )
             raise InputError(f"{report.path}: {what}; expected MDF 4")
-        flags = head[_FLAGS_AT] if len(head) > _FLAGS_AT else 0
-        self.open_end = head.startswith(b"UnFin") or flags > 0
-        with contextlib.ExitStack() as stack:
-            file = source.file
-            if source.packed or self.open_end:
-                file = stack.enter_context(_copy(source))
-            blocks = Blocks(report.path, file, self.open_end)
-            self.cut = blocks.cut_at is not None
-            self.lost = blocks.lost
-            if self.cut:
-                report.cut(Location("the data ends or its list is broken", byte=blocks.cut_at))
-            elif self.lost and report.strict:
-                report.skip(Location("a damaged data block", byte=self.lost[0][0]))
-            if (self.cut or blocks.patches) and file is source.file:
-                file = stack.enter_context(_copy(source))
-            for address, content in blocks.patches:
-                file.seek(address)
-                file.write(content)
-            if self.open_end:
-                file.seek(_FLAGS_AT)
-                file.write(bytes((flags & _LEFT_TO_ASAMMDF, 0)))
-            self._record_bytes = blocks.record_bytes
-            self._file = file
-            with self.guard():
-                file.seek(0)
-                self.mdf: Any = asammdf.MDF(file, process_bus_logging=False)
-                stack.callback(self.mdf.close)
-                self.mdf.configure(read_fragment_size=_FRAGMENT_BYTES)
-            self._stack = stack.pop_all()
+        content = bytearray()
+        while block := source.read(1 << 20):
+            content += block
+        with self.guard():
+            self.mdf: Any = asammdf.MDF(io.BytesIO(content), process_bus_logging=False)
+            for group in self.mdf.groups:
+                size = group.channel_group.samples_byte_nr
+                if size > len(content) or (group.channel_group.cycles_nr and not size):
+                    raise ValueError(f"records of {size} bytes")
 
     def __enter__(self) -> Mf4File:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._stack.close()
+        self.mdf.close()
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
@@ -142,118 +116,101 @@ class Mf4File:
         try:
             with contextlib.redirect_stdout(io.StringIO()):
                 yield
-        except (InputError, GeneratorExit):
-            raise
         except Exception as error:
             reason = printable(f"{type(error).__name__}: {error}".split("\n")[0][:120])
             raise InputError(
-                f"{self.report.path}: asammdf cannot read it ({reason}); expected a whole MF4"
+                f"{self.report.path}: asammdf cannot read on after {self.frames} frames ({reason}); "
+                "expected a whole MF4"
             ) from None
 
-    def streams(self) -> list[_Stream]:
-        """Return the groups of CAN frames; other groups go to the report."""
-        found = []
+    def frame_groups(self) -> list[tuple[int, str]]:
+        """Return number and kind of the groups of CAN frames; others go to the report."""
+        groups = []
         for number, group in enumerate(self.mdf.groups):
             names = [channel.name for channel in group.channels]
-            kind = next((kind for kind in _FRAME_KINDS if kind in names), None)
+            kind = next((kind for kind in KINDS if kind in names), None)
             if kind is not None:
-                split = [name.rpartition(".") for name in names]
-                parts = {part: i for i, (owner, _, part) in enumerate(split) if owner == kind}
-                variable = any(c.channel_type == VARIABLE_LENGTH for c in group.channels)
-                structured = group.channel_dependencies[names.index(kind)] and not variable
-                whole = names.index(kind) if structured else None
-                found.append(_Stream(number, kind, parts, whole))
+                groups.append((number, kind))
             elif names and group.channel_group.cycles_nr:
-                bus = names[-1].split(".")[0]
-                known = bus.split("_")[0].upper() in _OTHER_BUSES
-                name = bus.replace("_", " ") if known else "record of decoded signals"
-                self.report.other[name] += group.channel_group.cycles_nr
-        return found
+                bus = names[-1].split(".")[0].split("_")[0].upper()
+                is_bus = bus in ("LIN", "FLEXRAY", "ETH", "MOST", "K-LINE", "CAN")
+                name = names[-1].split(".")[0].replace("_", " ")
+                self.report.other[name if is_bus else "record of decoded signals"] += (
+                    group.channel_group.cycles_nr
+                )
+        return groups
 
     def signal_groups(self) -> list[int]:
         """Return the groups with samples; none if there are CAN frame groups."""
-        if self.streams():
+        if self.frame_groups():
             return []
         groups = enumerate(self.mdf.groups)
         return [n for n, group in groups if group.channels and group.channel_group.cycles_nr]
 
-    def tables(self, stream: _Stream) -> Iterator[tuple[dict[str, NDArray[Any]], NDArray[Any]]]:
-        """Yield the columns of a group by part of a frame, and the times; `_ROWS` rows at a time.
-
-        Columns are [n] or [n, bytes], times [n] in s from the start of the file.
-        """
-        indices = list(stream.parts.values()) if stream.whole is None else [stream.whole]
-        channels = [self.mdf.iter_get(group=stream.group, index=i) for i in indices]
-        while True:
-            with self.guard():
-                signals: list[Any] = [next(channel, None) for channel in channels]
-            if any(signal is None for signal in signals):
-                return
-            for begin in range(0, len(signals[0].timestamps), _ROWS):
-                rows = slice(begin, begin + _ROWS)
-                if stream.whole is None:
-                    columns = [signal.samples[rows] for signal in signals]
-                else:
-                    samples = signals[0].samples[rows]
-                    columns = [samples[f"{stream.kind}.{part}"] for part in stream.parts]
-                yield dict(zip(stream.parts, columns, strict=True)), signals[0].timestamps[rows]
-
-    def report_rest(self) -> None:
-        """Report bytes at the end of an unfinished file that are no whole record.
-
-        Only for a file with one data group, which is how loggers write it.
-        """
-        if len({group.data_group.address for group in self.mdf.groups}) != 1:
-            return
-        used = 0
-        for group in self.mdf.groups:
-            id_size = group.data_group.record_id_len
-            count = group.channel_group.cycles_nr
-            size = group.channel_group.samples_byte_nr + group.channel_group.invalidation_bytes_nr
-            if group.channels:
-                used += count * (size + id_size)
-            for index in range(len(group.channels)):
-                if group.signal_data[index]:
-                    used += stored_bytes(group, index) + count * id_size
-        rest = self._record_bytes - used
-        if rest > 0:
-            size = self._file.seek(0, os.SEEK_END)
-            self._file.seek(-rest, os.SEEK_END)
-            if self._file.read(rest).strip(b"\x00"):
-                self.report.cut(Location("the data ends inside a record", byte=size - rest))
-            else:
-                self.report.note("zero bytes after the last record")
+    def columns(self, number: int, kind: str) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
+        """Return the columns of a group by part of a frame, [n] or [n, bytes], and the times [n] in s."""
+        group = self.mdf.groups[number]
+        parts = {
+            name.rpartition(".")[2]: index
+            for index, name in enumerate(channel.name for channel in group.channels)
+            if name.startswith(f"{kind}.")
+        }
+        with self.guard():
+            if number not in self.mdf.masters_db:
+                raise ValueError(f"{kind} without a time")
+            if "ID" not in parts and kind != "CAN_ErrorFrame":
+                raise ValueError(f"{kind} without an ID")
+            signals = {
+                part: self.mdf.get(group=number, index=index) for part, index in parts.items()
+            }
+            times_s = self.mdf.get_master(number)
+        return {part: signal.samples for part, signal in signals.items()}, times_s
 
 
 def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
-    """Yield the frames in batches, those of all groups merged by time.
+    """Yield the frames in batches, those of all groups merged by `Order`, or else by time.
 
     Raises InputError if the file cannot be read or holds decoded signals only.
     """
     with Mf4File(source, report) as file:
         header = file.mdf.header
-        if file.open_end:
+        if source.head.startswith(b"UnFinMF "):
             report.note("the logger did not finish this file; read as far as it goes")
         if header.time_flags & 1:
             report.note("the start is a local time of an unknown zone, taken as UTC")
-        if header.abs_time >= 2**63:
+        if header.abs_time >= MAX_TIME_NS:
             raise InputError(f"{report.path}: byte 64: a start time out of range; expected MF4")
         report.start_ns = header.abs_time or None
         report.time_base = time_base(header.abs_time)
-        streams = file.streams()
-        if not streams:
+        groups = file.frame_groups()
+        if not groups:
             _refuse_signals(file)
-        if file.open_end:
-            file.report_rest()
-        ordered = all("Order" in stream.parts for stream in streams)
-        groups = [_frames(file, stream, ordered) for stream in streams]
-        merged = map(itemgetter(1), heapq.merge(*groups, key=itemgetter(0)))
-        number = 1
-        total = sum(file.mdf.groups[stream.group].channel_group.cycles_nr for stream in streams)
-        while frames := list(islice(merged, _ROWS)):
-            yield Batch(frames, range(number, number + len(frames)))
-            number += len(frames)
-            source.share = min(number / (total + 1), 1.0)
+        frames: list[tuple[float, LogFrame]] = []
+        ordered = True
+        for number, kind in groups:
+            stated = file.mdf.groups[number].channel_group.cycles_nr
+            if not stated:
+                continue
+            columns, times_s = file.columns(number, kind)
+            ordered = ordered and "Order" in columns
+            order = columns["Order"] if ordered else times_s
+            frames += zip(
+                order.tolist(), _frames(kind, columns, times_s, header.abs_time), strict=True
+            )
+            file.frames = len(frames)
+            if len(times_s) < stated:
+                report.cut(Location(f"{len(times_s)} of {stated} {kind} records"))
+        frames.sort(key=lambda pair: pair[0] if ordered else pair[1].time_ns)
+        for begin in range(0, len(frames), BATCH_FRAMES):
+            possible, numbers = [], []
+            for index, (_, frame) in enumerate(frames[begin : begin + BATCH_FRAMES], begin + 1):
+                if problem := frame_problem(frame):
+                    report.skip(Location(f"frame {index}: {problem}"))
+                else:
+                    possible.append(frame)
+                    numbers.append(index)
+            if possible:
+                yield Batch(possible, numbers)
 
 
 def _refuse_signals(file: Mf4File) -> None:
@@ -269,74 +226,122 @@ def _refuse_signals(file: Mf4File) -> None:
     file.report.note("no CAN frame groups in it")
 
 
-def _frames(file: Mf4File, stream: _Stream, ordered: bool) -> Iterator[tuple[int, LogFrame]]:
-    """Yield the frames of one group, each with its number in the log if `ordered`, else its time."""
-    report, kind = file.report, stream.kind
-    group = file.mdf.groups[stream.group]
-    missing = "an ID" if "ID" not in stream.parts and kind != "CAN_ErrorFrame" else None
-    if stream.group not in file.mdf.masters_db:
-        missing = "a time"
-    if missing:
-        address = group.channel_group.address
-        report.skip(Location(f"{kind} without {missing}", byte=address))
-        return
-    expected, count, lost = group.channel_group.cycles_nr, 0, 0
-    values = Values(file.mdf, file.guard, group, stream.parts.get("DataBytes"))
-    for columns, times_s in file.tables(stream) if expected else ():
-        rows = frames_of(kind, columns, times_s, values, file.mdf.header.abs_time)
-        order = numbers(columns["Order"], len(times_s)).tolist() if ordered else None
-        zeros = zero_rows(columns, times_s) if file.lost else None
-        for index, (frame, problem) in enumerate(rows):
-            count += 1
-            if zeros is not None and zeros[index]:
-                lost += 1
-                continue
-            if problem == NO_VALUE and (file.cut or file.open_end):
-                report.cut(Location(f"{kind} record {count}: {problem}"))
-                return
-            problem = problem or frame_problem(frame)
-            if problem is None:
-                yield (order[index] if order else frame.time_ns), frame
-            else:
-                report.skip(Location(f"{kind} record {count}: {problem}"))
-    if file.cut and (missing := lost + expected - count):
-        report.note(f"{counted(missing, f'{kind} record')} missing in all")
-    elif lost:
-        text = f"{counted(lost, f'{kind} record')} in damaged blocks left out"
-        report.skip(Location(text, byte=file.lost[0][0]), lost)
-    if count < expected:
-        report.cut(Location(f"{count} of {counted(expected, f'{kind} record')}"))
+def _frames(
+    kind: str, columns: dict[str, NDArray[Any]], times_s: NDArray[Any], start_ns: int
+) -> Iterator[LogFrame]:
+    """Yield the frames of a group. columns: [n] or [n, bytes]; times_s: [n], from the file's start."""
+    import numpy as np
 
+    count = len(times_s)
 
-def new_measurement(path: str, start_ns: int) -> Any:
-    """Return an empty MDF 4.10 measurement that starts at `start_ns` (0: relative times).
+    def numbers(part: str) -> NDArray[Any]:
+        column = columns.get(part)
+        if column is None:
+            return np.zeros(count, np.int64)
+        if column.dtype.kind in "SUO":  # some loggers write "Tx" and "Rx"
+            words = [w.decode("latin-1") if isinstance(w, bytes) else str(w) for w in column]
+            return np.array([w.strip("\0 ").lower() in ("tx", "true", "yes") for w in words], int)
+        return column.astype(np.int64)
 
-    Nothing in it depends on the wall clock. Raises InputError if asammdf is missing.
-    """
-    asammdf = import_asammdf(path)
-    from asammdf.blocks.v4_blocks import FileHistory
-
-    measurement = asammdf.MDF(version="4.10")
-    history = FileHistory()
-    history.comment = (
-        f"<FHcomment><TX>written</TX><tool_id>{_TOOL}</tool_id><tool_vendor>{_TOOL}</tool_vendor>"
-        "<tool_version>1</tool_version></FHcomment>"
+    seconds = np.floor(times_s)
+    times_ns = seconds.astype(np.int64) * 10**9
+    times_ns += np.rint((times_s - seconds) * 1e9).astype(np.int64)
+    error, remote = kind == "CAN_ErrorFrame", kind == "CAN_RemoteFrame"
+    code, word, fd = numbers("DLC") & 15, numbers("ID"), numbers("EDL") != 0
+    can_id = word & MAX_EXTENDED_ID
+    extended = (word >> 31 != 0) | (can_id > MAX_STANDARD_ID)
+    if "IDE" in columns:
+        extended = numbers("IDE") != 0
+    length = np.where(fd, np.array(DLC_LENGTHS)[code], np.minimum(code, 8))
+    if "DataLength" in columns:
+        length = numbers("DataLength")
+    if remote:
+        length = np.zeros(count, np.int64)
+    raw_dlc = np.where(remote | (~fd & (code > 8) & (length == 8)), code, 0)
+    data = columns.get("DataBytes")
+    width, content = 0, b""
+    if data is not None and data.ndim == 2 and not remote:
+        width, content = data.shape[1], np.ascontiguousarray(data, np.uint8).tobytes()
+    channel = numbers("BusChannel").tolist() if "BusChannel" in columns else [""] * count
+    direction = np.where(numbers("Dir"), "Tx", "Rx" if "Dir" in columns else "").tolist()
+    arrays = (times_ns, can_id, extended, fd, numbers("BRS") != 0, numbers("ESI") != 0, raw_dlc)
+    rows = zip(
+        *(array.tolist() for array in arrays), length.tolist(), channel, direction, strict=True
     )
-    measurement.file_history.append(history)
-    for block in (measurement.header, history):
-        block.abs_time = start_ns
-        block.tz_offset = block.daylight_save_time = block.time_flags = 0
-    return measurement
+    for index, row in enumerate(rows):
+        time_ns, number, is_extended, is_fd, brs, esi, raw, size, name, way = row
+        payload = content[index * width : index * width + min(size, width)]
+        flags = is_extended, remote, error, is_fd, brs, esi
+        yield LogFrame(start_ns + time_ns, number, payload, *flags, str(name), way, raw)
 
 
-def save(measurement: Any, file: BinaryIO) -> None:
-    """Write a measurement, compressed."""
-    measurement.save(file, compression=_COMPRESSION_DEFLATE, add_history_block=False)
+class Mf4Writer(LogWriter):
+    """Writes a group for each kind of frames; the part `Order` keeps their common order."""
 
+    format = "mf4"
 
-def is_mf4(head: bytes) -> bool:
-    """Return whether a file that begins with these bytes is of MDF version 4."""
-    return head.startswith((b"MDF     4.", b"UnFinMF 4."))
+    def __init__(self, path: str) -> None:
+        import_asammdf(path)
+        super().__init__(path)
+        self._frames: list[LogFrame] = []
+
+    def _write_batch(self, frames: list[LogFrame]) -> None:
+        self._frames += frames
+
+    def _finish(self) -> None:
+        from asammdf import Signal, Source
+
+        groups: dict[str, list[int]] = {}
+        for index, frame in enumerate(self._frames):
+            kind = KINDS[1] if frame.error else KINDS[2] if frame.remote else KINDS[0]
+            groups.setdefault(kind, []).append(index)
+        measurement = new_measurement(self.path, self.start_ns)
+        bus = Source(name="CAN", path="CAN", comment="", source_type=2, bus_type=2)
+        for kind, order in groups.items():
+            samples, times_s = self._columns(kind, order)
+            signal = Signal(samples, times_s, name=kind, source=bus)
+            measurement.append([signal], acq_name=kind, acq_source=bus, common_timebase=True)
+            measurement.groups[-1].channel_group.flags |= 0b110  # a bus event, in plain form
+        save(measurement, self._out)
+        measurement.close()
+
+    def _columns(self, kind: str, order: list[int]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the records [n] of the frames of one kind, and their times [n] in s from the start."""
+        import numpy as np
+
+        frames = [self._frames[index] for index in order]
+        offsets_ns = np.array([frame.time_ns - self.start_ns for frame in frames], np.int64)
+        parts: dict[str, Any] = {
+            "BusChannel": [self.channel_number(frame.channel, 0) for frame in frames],
+            "ID": [frame.can_id for frame in frames],
+            "IDE": [frame.extended for frame in frames],
+            "DLC": [frame.dlc for frame in frames],
+            "Dir": [frame.direction == "Tx" for frame in frames],
+            "EDL": [frame.fd for frame in frames],
+            "BRS": [frame.brs for frame in frames],
+            "ESI": [frame.esi for frame in frames],
+            "Order": order,
+        }
+        wide = dict.fromkeys(("ID", "Order"), "<u4")
+        fields: list[Any] = [(f"{kind}.{part}", wide.get(part, "<u1")) for part in parts]
+        if kind != "CAN_RemoteFrame":
+            width = max(8, *(len(frame.data) for frame in frames))
+            padded = b"".join(frame.data.ljust(width, b"\0") for frame in frames)
+            parts["DataLength"] = [len(frame.data) for frame in frames]
+            parts["DataBytes"] = np.frombuffer(padded, np.uint8).reshape(-1, width)
+            fields += [(f"{kind}.DataLength", "<u1"), (f"{kind}.DataBytes", "<u1", (width,))]
+        rows = np.zeros(len(frames), fields)
+        for part, column in parts.items():
+            rows[f"{kind}.{part}"] = column
+        for frame in frames:
+            if not frame.direction:
+                self.losses["direction not recorded, written as Rx"] += 1
+            if abs(frame.time_ns - self.start_ns) > EXACT_SPAN_NS:
+                self.losses["times more than 46 days from the start, rounded"] += 1
+            if frame.error and frame.remote:
+                self.losses["remote flag of an error frame"] += 1
+        # whole seconds and the rest apart: one rounding, to the double nearest to the decimal
+        return rows, offsets_ns // 10**9 + (offsets_ns % 10**9) / 1e9
 
 
 def _recognise(head: bytes) -> bool:

@@ -14,7 +14,6 @@ from can_dbc.errors import InputError
 from sil.j1939.summary import summarize
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.frame import DLC_LENGTHS, frame_problem
-from tests.unit.sil.logs.mf4_builder import logger_file
 
 FIXTURES = Path(__file__).resolve().parent.parent / "data" / "logs"
 LONGEST_S = 60.0
@@ -22,7 +21,7 @@ LONGEST_S = 60.0
 SEED = 20_240_607
 
 TEXT_SEEDS = sorted(path.name for path in FIXTURES.iterdir() if path.suffix != ".md")
-WRITTEN = ("log", "asc", "trc", "csv", "blf", "mf4", "log.gz", "blf.gz")
+WRITTEN = ("log", "asc", "trc", "csv", "blf", "log.gz", "blf.gz")
 
 
 def made_frames(count: int) -> list[LogFrame]:
@@ -58,8 +57,6 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
             for frame in frames:
                 writer.write(frame)
         found[path.name] = path.read_bytes()
-    plain = [(i * 1000, frame.can_id, frame.data[:8]) for i, frame in enumerate(frames)]
-    found["logger.mf4"] = logger_file(plain, 1_700_000_000_000_000_000, error_at=[1500])
     return found
 
 
@@ -111,7 +108,7 @@ def read(path: Path, *, strict: bool = False) -> list[LogFrame]:
 
 def most_frames(blob: bytes, name: str) -> int:
     """More frames than this cannot be in a file: one for each line, or for each record."""
-    if name.endswith((".blf", ".mf4", ".gz")):
+    if name.endswith((".blf", ".gz")):
         return 10_000
     return blob.count(b"\n") + 1
 
