@@ -37,13 +37,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     if not 0 <= arguments.port <= 65535:
         raise InputError(f"--port {arguments.port}: expected 0 to 65535")
-    known = {name: name for name in load_scenario.shipped()}
+    scenarios = {name: name for name in load_scenario.shipped()}
     for file in arguments.scenarios:
-        known[load_scenario.load(file).scenario.name] = file
+        scenarios[load_scenario.load(file).scenario.name] = file
     folder = arguments.runs or Path("runs")
     if arguments.runs is not None and not folder.is_dir():
         raise InputError(f"{folder}: --runs: no such folder; expected one that exists")
-    shared = Bench(known, folder.resolve(), log=lambda line: say(f"opc4 live: {line}"))
+    shared = Bench(scenarios, folder.resolve(), log=lambda line: say(f"opc4 live: {line}"))
 
     def ready(address: str) -> None:
         print(address, flush=True)

@@ -42,12 +42,6 @@ if TYPE_CHECKING:
 
 LONGEST_S = 20.0
 """Longest run of the page: a request is answered by a run from its beginning."""
-MOST_ROWS = 200_000
-
-FIXED = ("firmware", "model_set", "effects", "bus.guest", "duration_s")
-"""Values that a page may not set: they name files or other programs, or are set otherwise."""
-
-CACHED = 16
 
 SLIDERS: Mapping[str, tuple[str, float, float, float, str]] = {
     "sensor.delay_s": ("sensor delay", 0.0, 0.03, 1e3, "ms"),
@@ -87,61 +81,66 @@ class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     duration_s: float | None = None
 
 
-def loaded(asked: Asked, known: Mapping[str, str]) -> Loaded:
-    """Return the scenario that is asked for; `known`: the files or shipped names that may be used.
+def load_asked(asked: Asked, scenarios: Mapping[str, str]) -> Loaded:
+    """Return the scenario that is asked for; `scenarios`: the files or shipped names that may be used.
 
-    Raises InputError for a scenario that is not known, a value that is not the page's to set, a run
+    Raises InputError for another scenario, a value that is not the page's to set, a run
     that is too long, and as the scenario itself does.
     """
-    if asked.scenario not in known:
-        raise InputError(f"scenario: {asked.scenario!r}; expected one of {', '.join(known)}")
-    for path in asked.settings:
-        if path.split(".")[0] in FIXED or path in FIXED:
+    if asked.scenario not in scenarios:
+        raise InputError(f"scenario: {asked.scenario!r}; expected one of {', '.join(scenarios)}")
+    fixed = {"firmware", "model_set", "effects", "bus.guest", "duration_s"}
+    for path in asked.settings:  # these name files or other programs, or are set otherwise
+        if fixed & {path, path.split(".")[0]}:
             raise InputError(f"settings: {path}: cannot be set from the page; expected another")
-    table, path_of_file = load_scenario.read(known[asked.scenario])
+    table, path_of_file = load_scenario.read(scenarios[asked.scenario])
     if asked.requests is not None:
         table["request"] = msgspec.to_builtins(asked.requests)
     for name, faults in asked.faults.items():
         table[name] = [*table.get(name, []), *faults]
     if asked.duration_s is not None:
         table["duration_s"] = asked.duration_s
-    made = load_scenario.from_table(
+    loaded = load_scenario.from_table(
         table, asked.scenario, folder=path_of_file.parent, settings=texts(asked.settings)
     )
-    duration_s, period_s = made.scenario.duration_s, made.scenario.trace_period_s
-    if duration_s > LONGEST_S or duration_s / period_s > MOST_ROWS:
+    duration_s, period_s = loaded.scenario.duration_s, loaded.scenario.trace_period_s
+    max_steps = 200_000
+    if duration_s > LONGEST_S or duration_s / period_s > max_steps:
         raise InputError(
             f"duration_s: {duration_s:g} s in steps of {period_s:g} s; expected at most "
-            f"{LONGEST_S:g} s and {MOST_ROWS} steps"
+            f"{LONGEST_S:g} s and {max_steps} steps"
         )
-    return made
+    return loaded
 
 
-def run_shift(asked: Asked, known: Mapping[str, str]) -> dict[str, Any]:
+def run_shift(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
     """Return a run as the tabs Shift and Bus show it. Raises InputError and RunError."""
-    made = loaded(asked, known)
-    done = run_in_memory(made)
-    record = done.record
-    stacks = run_figure(record, done.shifts).stacks
+    loaded = load_asked(asked, scenarios)
+    run = run_in_memory(loaded)
+    record = run.record
+    stacks = run_figure(record, run.shifts).stacks
     return {
-        **_again(asked, made, done),
-        "duration_ms": MS * made.scenario.duration_s,
-        "tick_ms": MS * made.scenario.controller.period_s,
+        **_again(asked, loaded, run),
+        "duration_ms": MS * loaded.scenario.duration_s,
+        "tick_ms": MS * loaded.scenario.controller.period_s,
         "stroke_mm": MS * record.stroke_m,
         "free_mm": MS * record.free_travel_m,
         "supply_bar": 1e-5 * record.supply_pressure_pa,
-        "bus_load": _load(record, made.scenario),
+        "bus_load": _load(record, loaded.scenario),
         "trace": dict(_trace(record)),
         "frames": list(_frames(record)),
-        "requests": msgspec.to_builtins(made.scenario.request),
-        "metrics": _metrics([done.metrics]),
+        "requests": msgspec.to_builtins(loaded.scenario.request),
+        "metrics": _metrics([run.metrics]),
         "plots": content(stacks[0]),
     }
 
 
-def compare(before: Asked, after: Asked, known: Mapping[str, str]) -> dict[str, Any]:
+def compare(before: Asked, after: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
     """Return two runs over each other as the tab What if shows them. Raises InputError and RunError."""
-    first, second = (_cached(json_of(asked), tuple(known.items())) for asked in (before, after))
+    first, second = (
+        _cached(msgspec.json.encode(asked, order="sorted"), tuple(scenarios.items()))
+        for asked in (before, after)
+    )
     figure = comparison_figure(first[1], second[1])
     return {
         **_again(after, *second),
@@ -150,18 +149,13 @@ def compare(before: Asked, after: Asked, known: Mapping[str, str]) -> dict[str, 
     }
 
 
-def json_of(asked: Asked) -> bytes:
-    """Return the request as canonical JSON."""
-    return msgspec.json.encode(asked, order="sorted")
+@functools.lru_cache(16)
+def _cached(asked: bytes, scenarios: tuple[tuple[str, str], ...]) -> tuple[Loaded, Run]:
+    loaded = load_asked(msgspec.json.decode(asked, type=Asked), dict(scenarios))
+    return loaded, run_in_memory(loaded)
 
 
-@functools.lru_cache(CACHED)
-def _cached(asked: bytes, known: tuple[tuple[str, str], ...]) -> tuple[Loaded, Run]:
-    made = loaded(msgspec.json.decode(asked, type=Asked), dict(known))
-    return made, run_in_memory(made)
-
-
-def _again(asked: Asked, made: Loaded, done: Run) -> dict[str, Any]:
+def _again(asked: Asked, loaded: Loaded, run: Run) -> dict[str, Any]:
     """Return what makes the same run without the page, and its hash."""
     changed = asked.requests is not None or asked.faults or asked.duration_s is not None
     words = ["opc4", "run", asked.scenario]
@@ -169,8 +163,8 @@ def _again(asked: Asked, made: Loaded, done: Run) -> dict[str, Any]:
     return {
         "name": asked.scenario,
         "command": "" if changed else shlex.join(words),
-        "toml": scenario_toml(made.scenario),
-        "trace_sha256": done.trace_sha256,
+        "toml": scenario_toml(loaded.scenario),
+        "trace_sha256": run.trace_sha256,
     }
 
 
@@ -234,15 +228,15 @@ def _signals(message: Any) -> str:
 
 
 def _shown_frame(frame: Frame) -> list[str]:
-    known = message_type_of(frame.can_id)
-    return [known.__name__ if known else "", f"{frame.can_id:08X}", frame.data.hex(" ").upper()]
+    message = message_type_of(frame.can_id)
+    return [message.__name__ if message else "", f"{frame.can_id:08X}", frame.data.hex(" ").upper()]
 
 
 def _shown(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else getattr(value, "name", str(value))
 
 
-def vocabulary(known: Mapping[str, str]) -> dict[str, Any]:
+def vocabulary(scenarios: Mapping[str, str]) -> dict[str, Any]:
     """Return what the page offers: scenarios, sliders with their present values, faults, strategies."""
     schema = json.loads(json.dumps(msgspec.json.schema(Scenario)))
     kinds = schema["$defs"]
@@ -251,35 +245,35 @@ def vocabulary(known: Mapping[str, str]) -> dict[str, Any]:
         items = kinds["Scenario"]["properties"][table]["items"]
         faults[table] = [kinds[ref["$ref"].split("/")[-1]] for ref in items.get("anyOf", [items])]
     return {
-        "scenarios": list(known),
+        "scenarios": list(scenarios),
         "strategies": list(strategies.NAMES),
         "faults": faults,
         "longest_s": LONGEST_S,
     }
 
 
-def values_of(asked: Asked, known: Mapping[str, str]) -> dict[str, Any]:
+def values_of(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
     """Return the values that sliders and choices have in a scenario. Raises InputError."""
-    made = loaded(asked, known)
-    table = expanded(made.scenario)
+    loaded = load_asked(asked, scenarios)
+    table = expanded(loaded.scenario)
     if table["plant"]["supply_pressure_pa"] is None:
-        table["plant"]["supply_pressure_pa"] = made.parameters.value("supply.P_s")
+        table["plant"]["supply_pressure_pa"] = loaded.parameters.value("supply.P_s")
     sliders = [
         [
             path,
             *shown,
-            made.parameters[path].value
-            if path in made.parameters
+            loaded.parameters[path].value
+            if path in loaded.parameters
             else reduce(getitem, path.split("."), table),
         ]
         for path, shown in SLIDERS.items()
     ]
     return {
         "sliders": sliders,
-        "strategy": made.scenario.controller.strategy,
-        "filter": made.scenario.controller.filter.enabled,
-        "damper": made.scenario.plant.damper,
-        "gear": made.scenario.initial_gear,
-        "requests": msgspec.to_builtins(made.scenario.request),
-        "duration_s": made.scenario.duration_s,
+        "strategy": loaded.scenario.controller.strategy,
+        "filter": loaded.scenario.controller.filter.enabled,
+        "damper": loaded.scenario.plant.damper,
+        "gear": loaded.scenario.initial_gear,
+        "requests": msgspec.to_builtins(loaded.scenario.request),
+        "duration_s": loaded.scenario.duration_s,
     }

@@ -44,7 +44,14 @@ def listed(folder: Path) -> list[dict[str, Any]]:
 
 
 def _entry(path: Path) -> Iterator[dict[str, Any]]:
-    kind = next((kind for name, kind in _FILES.items() if (path / name).is_file()), None)
+    kinds = {
+        "result.json": "run",
+        "diagnosis.json": "diagnosis",
+        "summary.json": "study",
+        RESULTS: "study",
+        "diff.json": "replay",
+    }
+    kind = next((kind for name, kind in kinds.items() if (path / name).is_file()), None)
     unfinished = (path / INCOMPLETE).is_file()
     if kind is None and not unfinished:
         return
@@ -74,10 +81,10 @@ def _entry(path: Path) -> Iterator[dict[str, Any]]:
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        held = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # being written, or damaged: shown without figures
         return {}
-    return held if isinstance(held, dict) else {}
+    return table if isinstance(table, dict) else {}
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -92,8 +99,8 @@ def compared(folder: Path, names: Sequence[str]) -> dict[str, Any]:
 
     Raises InputError for too many, or one without a trace.
     """
-    if not 1 <= len(names) <= MOST_COMPARED:
-        raise InputError(f"runs: {len(names)} chosen; expected 1 to {MOST_COMPARED}")
+    if not 1 <= len(names) <= 6:
+        raise InputError(f"runs: {len(names)} chosen; expected 1 to 6")
     if len(names) == 1 and (inside(folder, names[0]) / RESULTS).is_file():
         return content(_so_far(inside(folder, names[0]) / RESULTS).stacks[0])
     position, speed = [], []
@@ -124,7 +131,7 @@ def _so_far(results: Path) -> Figure:
             continue
         series = Series(name, np.arange(len(values), dtype=float), values, "after", "dots")
         panels.append(Panel(name, "", [series], height=110))
-    return Figure([Stack("row", panels[:MOST_PANELS] or [Panel("No numbers yet")])])
+    return Figure([Stack("row", panels[:8] or [Panel("No numbers yet")])])
 
 
 def _columns(trace: Path) -> np.ndarray:

@@ -30,14 +30,9 @@ from sil.live import bench, runs
 from sil.live.bench import Asked
 
 HOST = "127.0.0.1"
-LARGEST_BODY = 1 << 20
-LARGEST_MESSAGE = 1 << 12
-MOST_CONNECTIONS = 64
-IDLE_S = 60.0
-FRAMES_AT_ONCE, FLUSH_S = 500, 0.1
-A_YEAR_S = 3.15e7
-
-_HEADERS = {
+MAX_CONNECTIONS = 64
+MAX_BODY_BYTES = 1 << 20
+HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
@@ -55,7 +50,7 @@ Log = Callable[[str], None]
 class Bench:
     """What all handlers share."""
 
-    known: Mapping[str, str]
+    scenarios: Mapping[str, str]
     """Scenarios that may be run: name on the page, and file or shipped name."""
     folder: Path
     """Folder of finished runs; nothing else is read."""
@@ -100,7 +95,7 @@ class _Handler(web.RequestHandler):
         self.shared = shared
 
     def set_default_headers(self) -> None:
-        for name, value in _HEADERS.items():
+        for name, value in HEADERS.items():
             self.set_header(name, value)
 
     def token(self) -> str | None:
@@ -141,7 +136,7 @@ class _Api(_Handler):
 
     async def get(self, what: str) -> None:
         works = {
-            "vocabulary": lambda: bench.vocabulary(self.shared.known),
+            "vocabulary": lambda: bench.vocabulary(self.shared.scenarios),
             "runs": lambda: runs.listed(self.shared.folder),
         }
         if what not in works:
@@ -149,11 +144,11 @@ class _Api(_Handler):
         await self.answer(works[what])
 
     async def post(self, what: str) -> None:
-        body, known, decode = self.request.body, self.shared.known, msgspec.json.decode
+        body, scenarios, decode = self.request.body, self.shared.scenarios, msgspec.json.decode
         works: dict[str, Callable[[], Any]] = {
-            "run": lambda: bench.run_shift(decode(body, type=Asked), known),
-            "values": lambda: bench.values_of(decode(body, type=Asked), known),
-            "compare": lambda: bench.compare(*decode(body, type=tuple[Asked, Asked]), known),
+            "run": lambda: bench.run_shift(decode(body, type=Asked), scenarios),
+            "values": lambda: bench.values_of(decode(body, type=Asked), scenarios),
+            "compare": lambda: bench.compare(*decode(body, type=tuple[Asked, Asked]), scenarios),
             "runs": lambda: runs.compared(self.shared.folder, decode(body, type=list[str])),
         }
         if what not in works:
@@ -218,9 +213,9 @@ def _listen(name: str, ended: threading.Event, send: Callable[[str], object]) ->
     try:
         with can.Bus(interface="opc4local", channel=name) as bus:
             while not ended.is_set():
-                while len(frames) < FRAMES_AT_ONCE and (message := bus.recv(FLUSH_S)) is not None:
-                    if start_s is None:  # simulated time, or the clock of a run in real time
-                        start_s = message.timestamp if message.timestamp > A_YEAR_S else 0.0
+                while len(frames) < 500 and (message := bus.recv(0.1)) is not None:
+                    if start_s is None:  # simulated time, or after a year the clock of a run
+                        start_s = message.timestamp if message.timestamp > 3.15e7 else 0.0
                     frames.append(bench.heard(message, start_s))
                 send(json.dumps({"frames": frames}))
                 frames = []
@@ -235,8 +230,8 @@ class _Server(httpserver.HTTPServer):
     log: Log = print
 
     def handle_stream(self, stream: iostream.IOStream, address: tuple[Any, ...]) -> None:
-        if len(self._connections) >= MOST_CONNECTIONS:
-            self.log(f"refused: connection {MOST_CONNECTIONS + 1}; the limit is {MOST_CONNECTIONS}")
+        if len(self._connections) >= MAX_CONNECTIONS:
+            self.log(f"refused: connection {MAX_CONNECTIONS + 1}; the limit is {MAX_CONNECTIONS}")
             stream.close()
             return
         super().handle_stream(stream, address)
@@ -254,7 +249,7 @@ def application(shared: Bench) -> web.Application:
         [(pattern, handler, {"shared": shared}) for pattern, handler in handlers],
         default_handler_class=_Nothing,
         default_handler_args={"shared": shared},
-        websocket_max_message_size=LARGEST_MESSAGE,
+        websocket_max_message_size=1 << 12,
         log_function=lambda handler: None,
     )
 
@@ -280,7 +275,7 @@ def page() -> str:
 async def serve(shared: Bench, port: int, ready: Callable[[str], None]) -> None:
     """Serve until cancelled; `ready` is called with the address. Raises InputError for a port in use."""
     try:
-        listening = socket.create_server((HOST, port), backlog=MOST_CONNECTIONS)
+        listening = socket.create_server((HOST, port), backlog=MAX_CONNECTIONS)
     except OSError as error:
         why = os.strerror(error.errno or 0)
         raise InputError(f"--port {port}: {why}; expected a free one, or 0") from None
@@ -288,9 +283,9 @@ async def serve(shared: Bench, port: int, ready: Callable[[str], None]) -> None:
     shared.port = listening.getsockname()[1]
     server = _Server(
         application(shared),
-        max_body_size=LARGEST_BODY,
-        max_buffer_size=LARGEST_BODY,
-        idle_connection_timeout=IDLE_S,
+        max_body_size=MAX_BODY_BYTES,
+        max_buffer_size=MAX_BODY_BYTES,
+        idle_connection_timeout=60.0,
     )
     server.log = shared.log
     server.add_socket(listening)

@@ -24,11 +24,11 @@ def _times(*paths: str) -> Callable[[ParameterSet, float], Change]:
     """Return a factor on all values of some parameters."""
 
     def change(parameters: ParameterSet, factor: float) -> Change:
-        found: Change = {}
+        changes: Change = {}
         for path in paths:
             values = tuple(factor * value for value in parameters.values(path))
-            found[path] = values if isinstance(parameters[path].value, tuple) else values[0]
-        return found
+            changes[path] = values if isinstance(parameters[path].value, tuple) else values[0]
+        return changes
 
     return change
 
@@ -51,12 +51,12 @@ def _with_neutral(*paths: str) -> Callable[[ParameterSet, float], Change]:
 
 def _stay_share(parameters: ParameterSet, factor: float) -> Change:
     """Scale the stay's share of the friction; the piston has the rest of the thesis's total."""
-    found: Change = {}
+    changes: Change = {}
     for name in ("F_sf", "F_rf", "beta"):
         stay, piston = (parameters.value(f"friction_length.{name}_{body}") for body in "sp")
-        found[f"friction_length.{name}_s"] = factor * stay
-        found[f"friction_length.{name}_p"] = stay + piston - factor * stay
-    return found
+        changes[f"friction_length.{name}_s"] = factor * stay
+        changes[f"friction_length.{name}_p"] = stay + piston - factor * stay
+    return changes
 
 
 def _stretched(coefficients: tuple[float, ...], factor: float) -> tuple[float, ...]:
@@ -68,22 +68,22 @@ def _stretched(coefficients: tuple[float, ...], factor: float) -> tuple[float, .
 def _charge_shape(parameters: ParameterSet, factor: float) -> Change:
     """Give a pressure drop the charge flow that a drop greater by the factor has in the map."""
     values, value = parameters.values, parameters.value
-    found: Change = {
+    changes: Change = {
         path: _stretched(values(path), factor) for path in ("flow_charge.c_high", "flow_charge.c_low")
     }  # fmt: skip
     for path in ("flow_charge.y_min", "flow_charge.y_split"):
-        found[path] = max(1.0 - (1.0 - value(path)) / factor, 0.0)
-    return found
+        changes[path] = max(1.0 - (1.0 - value(path)) / factor, 0.0)
+    return changes
 
 
 def _discharge_shape(parameters: ParameterSet, factor: float) -> Change:
     """Let the discharge flow be proportional to the pressure from a lower one on, by the factor."""
-    found: Change = {}
+    changes: Change = {}
     for path in ("flow_discharge.c_low", "flow_discharge.c_high"):
-        found[path] = tuple(c / factor for c in _stretched(parameters.values(path), factor))
+        changes[path] = tuple(c / factor for c in _stretched(parameters.values(path), factor))
     for path in ("flow_discharge.z_split", "flow_discharge.z_max"):
-        found[path] = 1.0 + (parameters.value(path) - 1.0) / factor
-    return found
+        changes[path] = 1.0 + (parameters.value(path) - 1.0) / factor
+    return changes
 
 
 FACTORS: Mapping[str, Callable[[ParameterSet, float], Change]] = {

@@ -16,7 +16,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.live import server
-from sil.live.server import HOST, MOST_CONNECTIONS, Bench, serve
+from sil.live.server import HOST, MAX_CONNECTIONS, Bench, serve
 from sil.simulation.load_scenario import shipped
 from tests.conftest import Run, run_opc4
 
@@ -142,7 +142,7 @@ def test_nothing_else_is_read(served: Served, path: str) -> None:
 
 def test_a_huge_request_is_refused(served: Served) -> None:
     try:
-        status, _, _ = served.ask("POST", "/api/run", b" " * (2 * server.LARGEST_BODY))
+        status, _, _ = served.ask("POST", "/api/run", b" " * (2 * server.MAX_BODY_BYTES))
     except (ConnectionError, http.client.HTTPException):
         status = 400  # closed before all of it was sent
     assert status in (400, 413)
@@ -155,7 +155,7 @@ def test_a_thousand_connections_are_bounded(served: Served) -> None:
         for _ in range(1000):
             one = socket.create_connection((HOST, served.bench.port), timeout=120.0)
             held.append(one)
-        for one in held[MOST_CONNECTIONS + 8 :]:
+        for one in held[MAX_CONNECTIONS + 8 :]:
             assert one.recv(1) == b""  # closed by the server
         assert any("the limit is" in line for line in served.lines[before:])
     finally:
