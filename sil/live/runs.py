@@ -23,16 +23,6 @@ from sil.studies.table import RESULTS, numbers_of
 PAGES = ("report.html", "shift.png", "shift.svg")
 """Files of a run that the page may open."""
 
-MOST_COMPARED = 6
-MOST_PANELS = 8
-_FILES = {
-    "result.json": "run",
-    "diagnosis.json": "diagnosis",
-    "summary.json": "study",
-    "results.csv": "study",
-    "diff.json": "replay",
-}
-
 
 def listed(folder: Path) -> list[dict[str, Any]]:
     """Return name, kind, state and figures of each output below a folder, newest first."""

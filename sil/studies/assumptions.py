@@ -15,11 +15,6 @@ from plant.parameters import Number, ParameterSet
 Change = dict[str, Number]
 
 
-def inferred(parameters: ParameterSet) -> list[str]:
-    """Return the paths of the parameters that the thesis does not print."""
-    return [path for path in parameters if parameters[path].source.startswith("inferred")]
-
-
 def _times(*paths: str) -> Callable[[ParameterSet, float], Change]:
     """Return a factor on all values of some parameters."""
 
@@ -102,24 +97,6 @@ FACTORS: Mapping[str, Callable[[ParameterSet, float], Change]] = {
 }
 """What a factor does to the parameters: its name, and the values that it gives."""
 
-CONDITIONS = {
-    "stroke.supply_pressure_pa": ("supply.P_s",),
-    "stroke.mesh_force_n": ("synchronizer.F_mesh_typ",),
-    "stroke.impulse_factor": ("synchronizer.impulse_typ", "synchronizer.impulse_max"),
-    "stroke.scatter_factor": (
-        "repeatability.friction_sd",
-        "repeatability.valve_delay_sd",
-        "repeatability.supply_sd",
-        "repeatability.unit_flow_sd",
-        "repeatability.unit_friction_sd",
-        "repeatability.unit_valve_delay_sd",
-    ),
-    "controller.filter.order": ("position_sensor.butter_order",),
-    "controller.filter.fc_hz": ("position_sensor.butter_fc",),
-    "sensor.delay_s": ("position_sensor.latency",),
-}
-"""Inferred numbers that a row varies by the conditions of its strokes."""
-
 NOT_VARIED = {
     "of the fixed-piston rig, on which no headline rests": (
         *(f"fixed.{name}" for name in ("m_s", "m_p", "r_piston", "r_stay", "A_s", "A1", "A2")),
@@ -141,11 +118,3 @@ NOT_VARIED = {
     "follows from others": ("damper.x_r",),
 }
 """Inferred numbers that are not varied, by the reason."""
-
-
-def varied(parameters: ParameterSet, path: str) -> set[str]:
-    """Return the parameters that a study varies by a path of its rows."""
-    group, _, name = path.partition(".")
-    if group == "factor":
-        return set(FACTORS[name](parameters, 1.0))
-    return set(CONDITIONS.get(path, (path,)))

@@ -20,7 +20,7 @@ from can_dbc.errors import InputError
 from plant.parameters import Number, load
 from sil.recording.runs import true_runs
 from sil.report.figure import Figure, Panel, Rule, Span, Stack
-from sil.studies.assumptions import CONDITIONS, FACTORS, NOT_VARIED
+from sil.studies.assumptions import FACTORS, NOT_VARIED
 from sil.studies.figures import metric_of, numbered, title_of
 from sil.studies.kinds.headlines import Case, Conditions, Headline, shipped_headlines
 from sil.studies.study import Row, RowResult, Setting, Study, StudyFile, Table
@@ -88,7 +88,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
             group, _, name = path.partition(".")
             if group in by_group:
                 by_group[group][name] = float(value)
-            elif path in CONDITIONS:
+            elif group in ("controller", "sensor"):
                 settings[path] = value
             else:
                 model[path] = float(value)

@@ -13,7 +13,7 @@ from can_dbc.errors import InputError
 from plant.parameters import ParameterSet, load
 from sil.cli import main
 from sil.report.figure import Floats
-from sil.studies.assumptions import FACTORS, NOT_VARIED, inferred, varied
+from sil.studies.assumptions import FACTORS, NOT_VARIED
 from sil.studies.design import Design, Sweep, drawn_shares
 from sil.studies.kinds.headlines import shipped_headlines
 from sil.studies.kinds.sensitivity import holds, in_words, total_indices
@@ -66,16 +66,34 @@ def test_one_at_a_time_begins_with_the_model_as_it_is() -> None:
     }
 
 
+BY_CONDITION = {
+    "stroke.supply_pressure_pa": {"supply.P_s"},
+    "stroke.mesh_force_n": {"synchronizer.F_mesh_typ"},
+    "stroke.impulse_factor": {"synchronizer.impulse_typ", "synchronizer.impulse_max"},
+    "stroke.scatter_factor": {
+        f"repeatability.{name}_sd"
+        for name in ("friction", "valve_delay", "supply", "unit_flow", "unit_friction",
+                     "unit_valve_delay")
+    },
+    "controller.filter.order": {"position_sensor.butter_order"},
+    "controller.filter.fc_hz": {"position_sensor.butter_fc"},
+    "sensor.delay_s": {"position_sensor.latency"},
+}  # fmt: skip
+"""Inferred numbers that the study varies by other paths than their own."""
+
+
 def test_every_inferred_number_is_varied_or_named_with_a_reason() -> None:
     parameters = load()
-    named = {path for paths in NOT_VARIED.values() for path in paths}
-    swept = {
-        path
-        for sweep in load_study("sensitivity").file.sweep
-        for path in varied(parameters, sweep.path)
-    }
-    assert set(inferred(parameters)) <= swept | named
-    assert named <= set(inferred(parameters)) and not named & swept
+    inferred = {path for path in parameters if parameters[path].source.startswith("inferred")}
+    not_varied = {path for paths in NOT_VARIED.values() for path in paths}
+    swept = set()
+    for sweep in load_study("sensitivity").file.sweep:
+        factor = FACTORS.get(sweep.path.removeprefix("factor."))
+        swept |= (
+            set(factor(parameters, 1.0)) if factor else BY_CONDITION.get(sweep.path, {sweep.path})
+        )
+    assert inferred <= swept | not_varied
+    assert not_varied <= inferred and not not_varied & swept
 
 
 @pytest.mark.slow
