@@ -39,16 +39,16 @@ def computed(shown: dict[str, Any]) -> Run:
 def changes(draw: st.DrawFn) -> dict[str, Any]:
     """Values within the ends of some sliders, and the choices above them."""
     paths = draw(st.lists(st.sampled_from(sorted(SLIDERS)), max_size=3, unique=True))
-    made: dict[str, Any] = {}
+    changed: dict[str, Any] = {}
     for path in paths:
         _, low, high, _, _ = SLIDERS[path]
-        made[path] = float(f"{draw(st.floats(low, high)):.4g}")
+        changed[path] = float(f"{draw(st.floats(low, high)):.4g}")
     if draw(st.booleans()):
-        made["controller.filter"] = draw(st.booleans())
+        changed["controller.filter"] = draw(st.booleans())
     if draw(st.booleans()):
         names = ("open_loop", "blow_cut", "air_cushion", "sliding_mode")
-        made["controller.strategy"] = draw(st.sampled_from(names))
-    return made
+        changed["controller.strategy"] = draw(st.sampled_from(names))
+    return changed
 
 
 @given(changes())

@@ -13,16 +13,16 @@ from sil.live import runs
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = tmp_path_factory.mktemp("runs")
+    outputs = tmp_path_factory.mktemp("runs")
     for name, extra in (("one", []), ("two", ["--set", "valve.D_rise=0.02"])):
-        code = main(["run", "lab_n_b", "--out", str(made / name), "--no-report", *extra])
+        code = main(["run", "lab_n_b", "--out", str(outputs / name), "--no-report", *extra])
         assert code in (0, 1)
-    (made / "begun").mkdir()
-    (made / "begun" / "INCOMPLETE").write_text("opc4 whatif is writing\n", encoding="utf-8")
-    (made / "begun" / "results.csv").write_text("a,b\n1,2\n3,4\n", encoding="utf-8")
-    (made / "other").mkdir()
-    (made / "loop").symlink_to(made / "one")
-    return made
+    (outputs / "begun").mkdir()
+    (outputs / "begun" / "INCOMPLETE").write_text("opc4 whatif is writing\n", encoding="utf-8")
+    (outputs / "begun" / "results.csv").write_text("a,b\n1,2\n3,4\n", encoding="utf-8")
+    (outputs / "other").mkdir()
+    (outputs / "loop").symlink_to(outputs / "one")
+    return outputs
 
 
 def test_all_outputs_are_listed_with_their_state(folder: Path) -> None:

@@ -70,9 +70,9 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     (folder / "done" / "report.html").write_text("<p>page</p>", encoding="utf-8")
     (folder / "done" / "secret.txt").write_text("secret", encoding="utf-8")
     (folder.parent / "outside.txt").write_text("outside", encoding="utf-8")
-    made = Served(folder)
-    yield made
-    made.stop()
+    bench = Served(folder)
+    yield bench
+    bench.stop()
 
 
 def test_the_page_and_what_it_asks_for(served: Served) -> None:
@@ -150,16 +150,16 @@ def test_a_huge_request_is_refused(served: Served) -> None:
 
 
 def test_a_thousand_connections_are_bounded(served: Served) -> None:
-    held, before = [], len(served.lines)
+    connections, before = [], len(served.lines)
     try:
         for _ in range(1000):
             one = socket.create_connection((HOST, served.bench.port), timeout=120.0)
-            held.append(one)
-        for one in held[MAX_CONNECTIONS + 8 :]:
+            connections.append(one)
+        for one in connections[MAX_CONNECTIONS + 8 :]:
             assert one.recv(1) == b""  # closed by the server
         assert any("the limit is" in line for line in served.lines[before:])
     finally:
-        for one in held:
+        for one in connections:
             one.close()
     assert served.ask("GET", "/api/vocabulary")[0] == 200
 

@@ -100,9 +100,9 @@ def test_strokes_of_a_small_study_lie_over_one_time(tmp_path: Path) -> None:
     )
     loaded = study(tmp_path, text)
     numbers = {"length.m_s": np.array([0.9, 1.8])}
-    known = {n: np.array([1.0, 0.9]) for n in ("impact_speed_m_s", "arrival_s")}
+    figures = {n: np.array([1.0, 0.9]) for n in ("impact_speed_m_s", "arrival_s")}
     panels: list[Panel] = list(
-        loaded.file.draw(loaded, Table({}, numbers | known, 2))["curves"].stacks[0].panels
+        loaded.file.draw(loaded, Table({}, numbers | figures, 2))["curves"].stacks[0].panels
     )
     assert [panel.unit for panel in panels] == ["mm", "bar", "bar"]
     light, heavy = (line.y for line in panels[0].series)

@@ -37,9 +37,9 @@ def test_total_indices_of_the_ishigami_function() -> None:
     points = 2.0 * math.pi * drawn_shares(Design(kind="radial", samples=8192), 3) - math.pi
     x, y, z = points.T
     value = np.sin(x) + 7.0 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
-    found = total_indices(value, 3)
-    for (index, low, high), known in zip(found, (0.558, 0.442, 0.244), strict=True):
-        assert low <= index <= high and abs(index - known) < 0.05
+    indices = total_indices(value, 3)
+    for (index, low, high), exact in zip(indices, (0.558, 0.442, 0.244), strict=True):
+        assert low <= index <= high and abs(index - exact) < 0.05
         assert high - low < 0.2
     assert total_indices(x, 3)[1:, 0].tolist() == [0.0, 0.0]
 
@@ -242,9 +242,9 @@ def test_intervals_of_shares_and_quantiles() -> None:
     assert share_interval(0, 200) == pytest.approx([0.0, 0.0188], abs=1e-3)
     low, high = share_interval(50, 100)
     assert low == pytest.approx(0.404, abs=1e-3) and high == pytest.approx(0.596, abs=1e-3)
-    found = quantiles(np.append(np.arange(1001.0), np.nan))
+    quantile = quantiles(np.append(np.arange(1001.0), np.nan))
     for name, middle in (("p5", 50.0), ("p50", 500.0), ("p95", 950.0)):
-        value, low, high = found[name]
+        value, low, high = quantile[name]
         assert value == pytest.approx(middle) and low < value < high < value + 40.0
     assert quantiles(np.array([np.nan])) == {}
     covered = 0

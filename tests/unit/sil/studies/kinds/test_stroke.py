@@ -34,11 +34,20 @@ def study(tmp_path: Path) -> Study:
     return load_study(str(tmp_path / "s.toml"))
 
 
+def table_of(study: Study, **texts: list[str]) -> Table:
+    """The table of all rows, as it would be read back."""
+    rows = [(row, study.run(row)) for row in study.rows()]
+    numbers = {name: [result.figures[name] for _, result in rows] for name in study.file.columns()}
+    for sweep in study.file.sweep:
+        numbers[sweep.path] = [float(str(row.settings[sweep.path])) for row, _ in rows]
+    return Table(texts, {name: np.array(values) for name, values in numbers.items()}, len(rows))
+
+
 def test_a_stroke_counts_every_impact(study: Study) -> None:
     """A brake that comes too soon: the pistons hit harder than the stay."""
-    found = study.run(Row(0, (), {"valve.D_fall": 0.005})).figures
-    assert found["impact_worst_m_s"] > 1.1 * found["impact_speed_m_s"] > 0.0
-    assert found["air_used_kg"] > 1e-4
+    figures = study.run(Row(0, (), {"valve.D_fall": 0.005})).figures
+    assert figures["impact_worst_m_s"] > 1.1 * figures["impact_speed_m_s"] > 0.0
+    assert figures["air_used_kg"] > 1e-4
 
 
 def test_the_final_volume_is_what_chamber_n_keeps_in_gear(study: Study) -> None:
@@ -51,10 +60,7 @@ def test_the_final_volume_is_what_chamber_n_keeps_in_gear(study: Study) -> None:
 
 
 def test_nothing_is_better_than_the_front_in_both(study: Study) -> None:
-    rows = [study.run(row) for row in study.rows()]
-    numbers = {name: [row.figures[name] for row in rows] for name in study.file.columns()}
-    table = Table({}, {name: np.array(values) for name, values in numbers.items()}, len(rows))
-    dots, front = pareto_figure(study, table).stacks[0].panels[0].series
+    dots, front = pareto_figure(study, table_of(study)).stacks[0].panels[0].series
     assert len(dots.x) == 8 and 1 <= len(front.x) <= 8
     assert (np.diff(front.x) >= 0.0).all() and (np.diff(front.y) < 0.0).all()
     for x, y in zip(dots.x, dots.y, strict=True):
@@ -64,12 +70,7 @@ def test_nothing_is_better_than_the_front_in_both(study: Study) -> None:
 def test_a_front_shows_the_unchanged_actuator_without_and_with_the_oil_damper(
     study: Study,
 ) -> None:
-    rows = [(row, study.run(row)) for row in study.rows()]
-    numbers = {name: [found.figures[name] for _, found in rows] for name in study.file.columns()}
-    swept = "effect.exhaust_clog.factor"
-    numbers[swept] = [float(str(row.settings[swept])) for row, _ in rows]
-    table = Table({}, {name: np.array(values) for name, values in numbers.items()}, len(rows))
-    panel = study.file.draw(study, table)["pareto"].stacks[0].panels[0]
+    panel = study.file.draw(study, table_of(study))["pareto"].stacks[0].panels[0]
     plain, damped = panel.notes
     assert (plain.text, damped.text) == ("nothing changed", "oil damper")
     nominal = study.run(Row(0, (), {})).figures
@@ -86,10 +87,6 @@ def test_a_front_needs_no_reference_of_an_effect_with_more_parameters(tmp_path: 
         + f'[[load]]\nname = "bump"\nset = {{ "{bump}position_m" = 0.006, "{bump}width_m" = 0.001 }}\n'
     )  # fmt: skip
     study = load_study(str(tmp_path / "s.toml"))
-    rows = [(row, study.run(row)) for row in study.rows()]
-    numbers = {name: [found.figures[name] for _, found in rows] for name in study.file.columns()}
-    numbers[f"{bump}force_n"] = [float(str(row.settings[f"{bump}force_n"])) for row, _ in rows]
-    texts = {"load": ["bump"] * len(rows)}
-    table = Table(texts, {name: np.array(values) for name, values in numbers.items()}, len(rows))
+    table = table_of(study, load=["bump"] * 2)
     notes = study.file.draw(study, table)["pareto"].stacks[0].panels[0].notes
     assert [note.text for note in notes] == ["nothing changed", "oil damper"]

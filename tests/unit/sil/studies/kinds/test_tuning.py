@@ -38,29 +38,29 @@ def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
 
 @pytest.mark.parametrize("strategy", list(tuning.SPACES))
 def test_every_candidate_is_a_setting_that_the_strategy_takes(strategy: str) -> None:
-    found = tuning.spread_values(strategy, 9, 3)
-    assert len(found) == (9 if tuning.SPACES[strategy] else 1)
-    assert found[0] == {}
-    assert found == tuning.spread_values(strategy, 9, 3)
-    assert not found[1:] or found[1:] != tuning.spread_values(strategy, 9, 4)[1:]
-    for parameters in found:
-        made = strategies.parameters(strategy, parameters)
+    spread = tuning.spread_values(strategy, 9, 3)
+    assert len(spread) == (9 if tuning.SPACES[strategy] else 1)
+    assert spread[0] == {}
+    assert spread == tuning.spread_values(strategy, 9, 3)
+    assert not spread[1:] or spread[1:] != tuning.spread_values(strategy, 9, 4)[1:]
+    for parameters in spread:
+        record = strategies.parameters(strategy, parameters)
         for name, value in parameters.items():
             low, high = tuning.SPACES[strategy][name]
             assert low <= value <= high
-            assert getattr(made, name) == value
+            assert getattr(record, name) == value
 
 
 def test_the_best_is_no_worse_than_the_defaults_and_runs_again_the_same() -> None:
     reference = [tuning.run_case(lab, "open_loop", {}, QUICK)]
     table = TuningTable(candidates=5, seed=1)
-    found = tuning.tune(lab, "air_cushion", [QUICK], reference, table)
-    assert len(found) == 5
-    assert [c.cost_m_s for c in found] == sorted(c.cost_m_s for c in found)
-    defaults = next(c for c in found if not c.parameters)
-    assert found[0].cost_m_s <= defaults.cost_m_s
-    again = tuning.run_case(lab, "air_cushion", found[0].parameters, QUICK)
-    assert again == found[0].arrivals[0]
+    candidates = tuning.tune(lab, "air_cushion", [QUICK], reference, table)
+    assert len(candidates) == 5
+    assert [c.cost_m_s for c in candidates] == sorted(c.cost_m_s for c in candidates)
+    defaults = next(c for c in candidates if not c.parameters)
+    assert candidates[0].cost_m_s <= defaults.cost_m_s
+    again = tuning.run_case(lab, "air_cushion", candidates[0].parameters, QUICK)
+    assert again == candidates[0].arrivals[0]
 
 
 @pytest.mark.parametrize(
