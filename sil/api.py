@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from sil.campaign.simulate import SimulatedStroke
     from sil.diagnosis.diagnosis import Diagnosis
-    from sil.log_replay.replay import ReplayResult
+    from sil.replay.replay import ReplayResult
     from sil.simulation.in_memory import Run
 
 Where = str | Path
@@ -267,8 +267,8 @@ def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None
     RunError
         If the firmware fails.
     """
-    from sil.log_replay.replay import ReplayRequest
-    from sil.log_replay.replay import replay as replayed
+    from sil.replay.replay import ReplayRequest
+    from sil.replay.replay import replay as replayed
 
     return replayed(
         ReplayRequest(

@@ -97,11 +97,11 @@ def run(arguments: argparse.Namespace) -> int:
         return code
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
-    from sil.log_replay import summary
-    from sil.log_replay.checkout import checkout
-    from sil.log_replay.page import replay_page
-    from sil.log_replay.replay import ReplayRequest, replay
-    from sil.log_replay.signals import Options, load_options
+    from sil.replay import summary
+    from sil.replay.checkout import checkout
+    from sil.replay.page import replay_page
+    from sil.replay.replay import ReplayRequest, replay
+    from sil.replay.signals import Options, load_options
 
     with ExitStack() as stack:
         reference = None
@@ -181,7 +181,7 @@ NOT_SUMMARY = (*OWN_LOG_ONLY, "firmware", "settings", "strategy", "dbc", "map")
 def _truck(arguments: argparse.Namespace) -> int | None:
     """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
     from can_dbc.errors import InputError
-    from sil.log_replay import truck_replay
+    from sil.replay import truck_replay
 
     given = [name for name in OWN_LOG_ONLY if getattr(arguments, name)]
     if given and arguments.map is not None:
@@ -198,7 +198,7 @@ def _truck(arguments: argparse.Namespace) -> int | None:
     )
     if found is None:
         return None
-    from sil.log_replay.truck_page import truck_page
+    from sil.replay.truck_page import truck_page
 
     _report(arguments, found, truck_replay, truck_page)
     return 1 if found.failed else 0
@@ -239,7 +239,7 @@ def _summary(arguments: argparse.Namespace) -> int:
     if report.files or report.notes or not report.clean:
         lines += [f"log: {line}" for line in report.lines()[1:]]
     if arguments.out is not None:
-        from sil.log_replay.shifts_page import shifts_page
+        from sil.replay.shifts_page import shifts_page
 
         folder = _prepared(arguments, "summary")
         call = shlex.join(["opc4", *sys.argv[1:]])

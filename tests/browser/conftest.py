@@ -14,7 +14,7 @@ from plant.parameters import Parameter, ParameterSet, load
 from sil.cli import main
 from tests.unit.sil.diagnosis.made_campaign import made
 from tests.unit.sil.diagnosis.test_force_rig import rig
-from tests.unit.sil.log_replay.truck_synthesis import DRIVE, Truck, write_log
+from tests.unit.sil.replay.truck_synthesis import DRIVE, Truck, write_log
 
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking",

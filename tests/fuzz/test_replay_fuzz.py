@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.log_replay.replay import ReplayRequest, replay
-from sil.log_replay.summary import as_dict, summary_lines, text
-from tests.unit.sil.log_replay.golden_logs import GOLDEN
+from sil.replay.replay import ReplayRequest, replay
+from sil.replay.summary import as_dict, summary_lines, text
+from tests.unit.sil.replay.golden_logs import GOLDEN
 
 NAMES = ("lab_n_b", "full_shift", "bus_off", "firmware_2500us", "late_valve_commands")
 LONGEST_S = 60.0

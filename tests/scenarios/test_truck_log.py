@@ -10,8 +10,8 @@ import pytest
 
 from sil.cli import main
 from sil.j1939.mapping import LAYOUT, SHIPPED
-from sil.log_replay import truck_page
-from tests.unit.sil.log_replay.truck_synthesis import (
+from sil.replay import truck_page
+from tests.unit.sil.replay.truck_synthesis import (
     DRIVE,
     MadeShift,
     Truck,

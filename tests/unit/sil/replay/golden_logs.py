@@ -1,0 +1,30 @@
+"""The golden logs as material for tests, whole or taken apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sil.logs import LogFrame, open_log, open_writer
+from sil.replay.recorded_frames import Arrival, RecordedFrames
+from tests.conftest import ROOT
+
+GOLDEN = ROOT / "tests" / "golden"
+
+
+def golden(name: str) -> Path:
+    return GOLDEN / f"{name}.log.gz"
+
+
+def frames(name: str) -> list[LogFrame]:
+    return list(open_log(golden(name)))
+
+
+def arrivals(name: str) -> list[Arrival]:
+    return list(RecordedFrames(open_log(golden(name))))
+
+
+def write(path: Path, log: list[LogFrame]) -> Path:
+    with open_writer(path) as writer:
+        for frame in log:
+            writer.write(frame)
+    return path
