@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...], list[str]]:
     """Return the messages of a log, and what is assumed; periods that the DBC states go first."""
     from can_dbc.dbc import load_dbc
-    from sil.coupling.response_times import NS_PER_MS, PeriodicMessage
+    from sil.coupling.response_times import PeriodicMessage
     from sil.j1939.periods import measure_bus, names_of
     from sil.logs import Selection, open_logs
 
@@ -127,7 +127,7 @@ def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...
         database = load_dbc(arguments.dbc)
         names = names_of(database, measured.messages)
         stated = {
-            (m.frame_id, m.is_extended_frame): round(m.cycle_time * NS_PER_MS)
+            (m.frame_id, m.is_extended_frame): round(m.cycle_time * 1e6)
             for m in database.messages
             if m.cycle_time
         }

@@ -22,9 +22,6 @@ from can_dbc.frame import Frame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import EOF_BITS, INTERMISSION_BITS, frame_bits
 
-ERROR_FRAME_BITS = 23
-"""The longest error frame: superposed flags of 12 bits, delimiter 8, intermission 3."""
-
 
 class BusFrame(NamedTuple):
     """One frame as it crossed the bus: released by its sender, arrived at everybody else."""
@@ -67,7 +64,7 @@ FrameFilter = Callable[[Transmission], Iterable[BusFrame] | ErrorFrame]
 
 Returns what arrives and when: `transmission.delivered()`; nothing, for a frame that is lost without
 anybody noticing; a BusFrame with other bytes, for corruption that passes the CRC; a later
-`arrival_ns`, for a delay; further Deliveries, for insertion. No arrival is before `end_ns`.
+`arrival_ns`, for a delay; further BusFrames, for insertion. No arrival is before `end_ns`.
 Or an ErrorFrame, for corruption that is detected. The time that the frame took on the bus does not
 depend on the answer except by an ErrorFrame."""
 
@@ -249,7 +246,8 @@ class BusModel:
         heappush(self._arriving, (delivery.arrival_ns, self._serial, delivery))
 
     def _reject(self, start_ns: int, bits: int, entry: _Ready, error: ErrorFrame) -> None:
-        self._free_ns = start_ns + (bits - EOF_BITS + ERROR_FRAME_BITS) * self.bit_ns
+        # the longest error frame: superposed flags of 12 bits, delimiter 8, intermission 3
+        self._free_ns = start_ns + (bits - EOF_BITS + 12 + 8 + 3) * self.bit_ns
         self.statistics.frames += 1
         self.statistics.error_frames += 1
         self.statistics.busy_ns += self._free_ns - start_ns

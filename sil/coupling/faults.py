@@ -34,8 +34,7 @@ INTRUDER = "intruder"
 
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
 
-MOST_DELAY_S = 10.0
-_NS_PER_US = 1000
+DelayTime = Annotated[float, Meta(ge=0.0, le=10.0)]
 
 
 class _Fault(
@@ -89,9 +88,9 @@ class UndetectedCorruption(_FrameFault, frozen=True, kw_only=True, tag="corrupti
 class Delay(_FrameFault, frozen=True, kw_only=True, tag="delay"):
     """The frame arrives `delay_s` late, and up to `jitter_s` more, drawn in whole microseconds."""
 
-    delay_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)]
+    delay_s: DelayTime
     """Delay of each frame hit."""
-    jitter_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)] = 0.0
+    jitter_s: DelayTime = 0.0
     """Largest further delay, drawn at random."""
 
 
@@ -148,7 +147,7 @@ class Replayed(_Fault, frozen=True, kw_only=True, tag="replayed"):
 
     message: MessageName
     """Message whose frames are repeated."""
-    delay_s: Annotated[float, Meta(ge=0.001, le=MOST_DELAY_S)]
+    delay_s: Annotated[float, Meta(ge=0.001, le=10.0)]
     """Time from a frame's arrival to its repetition."""
 
 
@@ -236,7 +235,7 @@ class _Selection:
         if isinstance(fault, Delay):
             jitter_us = round(fault.jitter_s * 1e6)
             late_us = round(fault.delay_s * 1e6) + (draw.randint(0, jitter_us) if jitter_us else 0)
-            return [d._replace(arrival_ns=d.arrival_ns + late_us * _NS_PER_US) for d in deliveries]
+            return [d._replace(arrival_ns=d.arrival_ns + 1000 * late_us) for d in deliveries]
         if isinstance(fault, FrozenCounter):
             if self._counter is None:
                 self._counter = transmission.frame.data[1] % COUNTERS

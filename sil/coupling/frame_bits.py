@@ -12,21 +12,17 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-CRC15_POLYNOMIAL = 0x4599
 EOF_BITS = 7
-TAIL_BITS = 3 + EOF_BITS
 INTERMISSION_BITS = 3
-CRC_BITS = 15
-_CRC_MASK = 0x7FFF
+UNSTUFFED_BITS = 3 + EOF_BITS
 
 # A stuffing state is the length of the current run of equal bits (1 to 4) times two plus the bit;
 # state 0 is before the first bit.
-_START = 0
 
 
 def _stuff_step(state: int, bit: int) -> tuple[int, int]:
     """Return the state after one more bit of the frame, and the stuff bits it caused."""
-    run = (state >> 1) + 1 if state != _START and state & 1 == bit else 1
+    run = (state >> 1) + 1 if state and state & 1 == bit else 1
     if run == 5:
         return 2 | bit ^ 1, 1
     return run << 1 | bit, 0
@@ -44,20 +40,19 @@ def _stuff_bits(state: int, word: int, bits: int) -> tuple[int, int]:
 def _crc_of_byte(byte: int) -> int:
     crc = byte << 7
     for _ in range(8):
-        crc = crc << 1 ^ (CRC15_POLYNOMIAL if crc & 0x4000 else 0)
-    return crc & _CRC_MASK
+        crc = crc << 1 ^ (0x4599 if crc & 0x4000 else 0)
+    return crc & 0x7FFF
 
 
 # Next state and stuff bits of each state and byte, packed as state | inserted << 4, at index
 # state << 8 | byte; and the same for the seven low bits that end the CRC sequence.
-_STATES = range(10)
 _STUFF_BYTE = tuple(
     state_after | inserted << 4
-    for state in _STATES
+    for state in range(10)
     for byte in range(256)
     for state_after, inserted in (_stuff_bits(state, byte, 8),)
 )
-_STUFF_LAST7 = tuple(_stuff_bits(state, word, 7)[1] for state in _STATES for word in range(128))
+_STUFF_LAST7 = tuple(_stuff_bits(state, word, 7)[1] for state in range(10) for word in range(128))
 _CRC_BYTE = tuple(_crc_of_byte(byte) for byte in range(256))
 
 
@@ -70,7 +65,7 @@ def crc15(bits: int, count: int) -> int:
     crc = 0
     padded = (count + 7) // 8
     for byte in bits.to_bytes(padded, "big"):
-        crc = (crc << 8 & _CRC_MASK) ^ _CRC_BYTE[crc >> 7 ^ byte]
+        crc = (crc << 8 & 0x7FFF) ^ _CRC_BYTE[crc >> 7 ^ byte]
     return crc
 
 
@@ -92,8 +87,8 @@ def header_bits(can_id: int, length: int, extended: bool = True) -> tuple[int, i
 def _after_header(can_id: int, length: int, extended: bool) -> tuple[int, int, int, int]:
     """Return CRC, stuffing state and stuff bits after the header, and the unstuffed frame's length."""
     header, count = header_bits(can_id, length, extended)
-    state, inserted = _stuff_bits(_START, header, count)
-    return crc15(header, count), state, inserted, count + 8 * length + CRC_BITS + TAIL_BITS
+    state, inserted = _stuff_bits(0, header, count)
+    return crc15(header, count), state, inserted, count + 8 * length + 15 + UNSTUFFED_BITS
 
 
 @lru_cache(maxsize=1 << 15)
@@ -102,11 +97,10 @@ def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
 
     The intermission of `INTERMISSION_BITS` that must follow is not part of it.
     Raises ValueError for an identifier or a length that does not fit.
-
     """
     crc, state, inserted, plain = _after_header(can_id, len(data), extended)
     for byte in data:
-        crc = (crc << 8 & _CRC_MASK) ^ _CRC_BYTE[crc >> 7 ^ byte]
+        crc = (crc << 8 & 0x7FFF) ^ _CRC_BYTE[crc >> 7 ^ byte]
         step = _STUFF_BYTE[state << 8 | byte]
         state = step & 15
         inserted += step >> 4
@@ -120,8 +114,8 @@ def longest_frame_bits(length: int, extended: bool = True) -> int:
     g + 8 n + floor((g + 8 n - 1) / 4) + 10 with g = 54 (extended) or 34 (standard).
     Source: Davis, Burns, Bril, Lukkien 2007, eq. 1.
     """
-    plain = shortest_frame_bits(length, extended) - TAIL_BITS
-    return plain + (plain - 1) // 4 + TAIL_BITS
+    plain = shortest_frame_bits(length, extended) - UNSTUFFED_BITS
+    return plain + (plain - 1) // 4 + UNSTUFFED_BITS
 
 
 def shortest_frame_bits(length: int, extended: bool = True) -> int:
@@ -130,4 +124,4 @@ def shortest_frame_bits(length: int, extended: bool = True) -> int:
     Raises ValueError for a length that does not fit.
     """
     _, count = header_bits(0, length, extended)
-    return count + 8 * length + CRC_BITS + TAIL_BITS
+    return count + 8 * length + 15 + UNSTUFFED_BITS

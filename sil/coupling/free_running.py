@@ -29,12 +29,6 @@ STALE_NS = 100_000_000
 """A node that is later than this stood still. Up to then it makes up for its steps, so that a busy
 machine delays frames and loses none; frames that were due longer ago are not sent."""
 
-_PASSING = (errno.ENETDOWN, errno.ENOBUFS, errno.EAGAIN)
-"""Errors of an interface that is bus-off, down or full for a while."""
-
-_BUS_OFF = 0x40
-"""SocketCAN's class of an error frame that reports bus-off (CAN_ERR_BUSOFF)."""
-
 
 def open_bus(
     channel: str,
@@ -151,11 +145,11 @@ class FreeNode:
 
     def _arrived(self, until_ns: int) -> list[tuple[int, Frame]]:
         """Return the frames for an event; one that came too late for the last event counts as of it."""
-        found = []
+        arrivals = []
         while self._inbox and self._inbox[0][0] <= until_ns:
             arrival_ns, frame = self._inbox.popleft()
-            found.append((max(arrival_ns, self._before_ns), frame))
-        return found
+            arrivals.append((max(arrival_ns, self._before_ns), frame))
+        return arrivals
 
     def _send_due(self) -> None:
         now_ns = self._pacer.now_ns()
@@ -178,7 +172,7 @@ class FreeNode:
         try:
             while (message := self._bus.recv(0.0)) is not None:
                 if message.is_error_frame:
-                    off = bool(message.arbitration_id & _BUS_OFF)
+                    off = bool(message.arbitration_id & 0x40)  # CAN_ERR_BUSOFF of SocketCAN
                     self.counts["bus-off reports" if off else "error frames"] += 1
                 elif (frame := frame_of(message)) is not None:
                     arrival_ns = round(message.timestamp * NS_PER_S) - self._zero_ns
@@ -189,8 +183,8 @@ class FreeNode:
 
     @staticmethod
     def _pass(error: can.CanOperationError) -> None:
-        """Tolerate errors that pass.  Raises RunEnded as it is, RunError when the bus is gone."""
+        """Tolerate an interface that is bus-off, down or full for a while.  Raises RunEnded as it is, RunError when the bus is gone."""
         if isinstance(error, RunEnded):
             raise error
-        if error.error_code not in _PASSING:
+        if error.error_code not in (errno.ENETDOWN, errno.ENOBUFS, errno.EAGAIN):
             raise RunError(f"the bus is gone: {error}") from None

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 TURN_ORDER = ("driver", "controller", "plant")
 """Who queues first at equal instants."""
 
-_LONGEST_WAIT_S = 0.02
-
 
 @dataclass(frozen=True)
 class RunSummary:
@@ -195,6 +193,6 @@ class Lockstep:
         deadline = time.monotonic() + seconds
         served = [c for c in self._channels if not isinstance(c, InProcess)] or self._channels
         while (left := deadline - time.monotonic()) > 0.0:
-            share = left if len(served) < 2 else min(left, _LONGEST_WAIT_S) / len(served)
+            share = left if len(served) < 2 else min(left, 0.02) / len(served)
             for channel in served:
                 channel.idle(share)

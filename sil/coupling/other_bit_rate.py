@@ -6,13 +6,6 @@ from typing import NamedTuple
 
 from sil.coupling.bus import ErrorFrame, Transmission
 
-FLAGS_UNTIL_PASSIVE = 15
-"""Each error that a receiver flags adds 1 and then 8 to its error counter; from 128 on it is
-error-passive and disturbs no more (ISO 11898-1, fault confinement)."""
-
-TRIES_UNTIL_OFF = 32
-"""Each failed transmission adds 8 to a sender's error counter; from 256 on it is bus-off."""
-
 
 class Window(NamedTuple):
     """From one instant to before another, ns."""
@@ -28,6 +21,9 @@ class Window(NamedTuple):
 class MisfitNode:
     """A node on another bit rate within a window of time, with its error counters.
 
+    Each error that a receiver flags adds 1 and then 8 to its counter; from 128 on it is error-passive
+    and disturbs no more. Each failed transmission adds 8 to a sender's; from 256 on it is bus-off
+    (ISO 11898-1, fault confinement).
     Assumptions: none of the frames that it receives or sends passes by chance; bus-off is not
     recovered from.
     """
@@ -35,21 +31,21 @@ class MisfitNode:
     def __init__(self, node: str, window: Window) -> None:
         self.node = node
         self.acts = window.holds
-        self._flags = self._tries = 0
+        self._receive_errors = self._send_errors = 0
 
     @property
     def is_off(self) -> bool:
         """Whether the node is bus-off."""
-        return self._tries >= TRIES_UNTIL_OFF
+        return self._send_errors >= 256
 
     def verdict(self, transmission: Transmission) -> ErrorFrame | None:
         """Return the error frame in which a transmission ends, None if it does not."""
         if not self.acts(transmission.start_ns) or self.is_off:
             return None
         if transmission.sender == self.node:
-            self._tries += 1
+            self._send_errors += 8
             return ErrorFrame(retransmit=not self.is_off)
-        if self._flags >= FLAGS_UNTIL_PASSIVE:
+        if self._receive_errors >= 128:
             return None
-        self._flags += 1
+        self._receive_errors += 1 + 8
         return ErrorFrame()

@@ -10,9 +10,6 @@ from dataclasses import dataclass
 from can_dbc.errors import InputError
 from sil.coupling.clock import to_seconds
 
-_LAST_SLEEP_NS = 2_000_000
-"""The last stretch is slept, not polled: poll wakes up on whole milliseconds only."""
-
 
 @dataclass(frozen=True)
 class Lateness:
@@ -83,11 +80,12 @@ class Pacer:
             self._origin_simulated = simulated_ns
             return
         due = self._origin_wall + round((simulated_ns - self._origin_simulated) / self.factor)
+        last_sleep_ns = 2_000_000  # not polled: poll wakes up on whole milliseconds only
         left = due - self._clock()
         if left < 0:
             self._overruns += 1
-        elif left > _LAST_SLEEP_NS:
-            idle(to_seconds(left - _LAST_SLEEP_NS))
+        elif left > last_sleep_ns:
+            idle(to_seconds(left - last_sleep_ns))
         left = due - self._clock()
         if left > 0:
             self._sleep(to_seconds(left))

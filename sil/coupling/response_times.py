@@ -32,8 +32,7 @@ from sil.coupling.frame_bits import INTERMISSION_BITS, longest_frame_bits
 if TYPE_CHECKING:
     from cantools.database import Database
 
-NS_PER_MS = 1_000_000
-_MOST_STEPS = 20_000
+MAX_STEPS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +116,7 @@ def database_messages(database: Database, source: str = "DBC") -> tuple[Periodic
             PeriodicMessage(
                 message.name,
                 message.frame_id,
-                round(message.cycle_time * NS_PER_MS),
+                round(message.cycle_time * 1e6),
                 message.length,
                 extended=message.is_extended_frame,
             )
@@ -189,11 +188,11 @@ def _response_time(
 
     busy, steps = 0, 0
     longer = cost
-    while longer != busy and steps < _MOST_STEPS:
+    while longer != busy and steps < MAX_STEPS:
         busy, steps = longer, steps + 1
         longer = blocking + interference(busy, [*higher, (message, cost)], 0)
     instances = -(-(busy + message.jitter_ns) // message.period_ns)
-    if longer != busy or instances > _MOST_STEPS:
+    if longer != busy or instances > MAX_STEPS:
         raise InputError(
             f"bus: {message.name}: with the more urgent messages it loads the bus so close to "
             "100 % that its busy period has no useful end; expected a lower load"

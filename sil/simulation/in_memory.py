@@ -33,9 +33,6 @@ from sil.simulation.scenario import Scenario, contradictions
 if TYPE_CHECKING:
     import pandas
 
-ROWS_AT_ONCE = 1 << 14
-"""Trace rows that are made together: they are read only after the run."""
-
 
 @dataclass(frozen=True)
 class Run:
@@ -137,7 +134,7 @@ def run_in_memory(loaded: Loaded) -> Run:
         loaded.parameters,
         trace,
         note,
-        trace_rows_at_once=ROWS_AT_ONCE,
+        trace_rows_at_once=1 << 14,  # they are read only after the run
     )
     participants = [
         node if name == "plant" else build.make_participant(name, loaded, Path())
@@ -162,8 +159,8 @@ def run_in_memory(loaded: Loaded) -> Run:
         frames=frames,
         **build.constants(loaded),
     )
-    found = metrics.shifts(record, build.gear_of(scenario.initial_gear))
+    shifts = metrics.shifts(record, build.gear_of(scenario.initial_gear))
     balances = next((dict(e.values) for e in events if e.name == "balance"), {})
     switchings = metrics.valve_switchings(record)
-    figures = metrics.summary(found, balances.get("air_in_kg"), switchings, len(frames))
-    return Run(scenario, record, found, figures, balances, rows)
+    figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, len(frames))
+    return Run(scenario, record, shifts, figures, balances, rows)
