@@ -279,7 +279,7 @@ PYTHON_API = {
         "sil.simulation.results:Check",
         "sil.campaign.simulate:SimulatedStroke",
         "sil.api:Sweep",
-        "sil.diagnosis.diagnosis:Diagnosis",
+        "sil.inference.campaign.diagnosis:Diagnosis",
         "sil.replay.replay:ReplayResult",
         "can_dbc.errors:InputError",
         "can_dbc.errors:RunError",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from sil.campaign.simulate import SimulatedStroke
-    from sil.diagnosis.diagnosis import Diagnosis
+    from sil.inference.campaign.diagnosis import Diagnosis
     from sil.replay.replay import ReplayResult
     from sil.simulation.in_memory import Run
 
@@ -236,7 +236,7 @@ def diagnose(
     """
     from plant.parameters import load
     from sil.campaign.campaign import joined, load_campaign
-    from sil.diagnosis.diagnosis import diagnose as diagnosed
+    from sil.inference.campaign.diagnosis import diagnose as diagnosed
 
     folders = [campaign] if isinstance(campaign, str | Path) else campaign
     together = joined([load_campaign(folder) for folder in folders])

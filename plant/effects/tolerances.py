@@ -1,6 +1,6 @@
 """Quantities in which healthy units, and healthy strokes, differ: how a setup follows them.
 
-Checked by: tests/unit/sil/fitting/test_fit.py
+Checked by: tests/unit/sil/inference/test_fit.py
 """
 
 from __future__ import annotations

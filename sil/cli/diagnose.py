@@ -90,12 +90,12 @@ def run_campaigns(arguments: argparse.Namespace) -> int:
     stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load
     from sil.campaign.campaign import joined, load_campaign
-    from sil.diagnosis.diagnosis import diagnose
-    from sil.diagnosis.force_record import is_force_rig
-    from sil.diagnosis.report import write_next, write_report
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
+    from sil.inference.campaign.diagnosis import diagnose
+    from sil.inference.campaign.page import write_next, write_report
+    from sil.inference.force.record import is_force_rig
 
     folders: list[str] = arguments.campaign
     for item in folders:
@@ -133,8 +133,8 @@ def new_campaign(arguments: argparse.Namespace) -> int:
 
     Raises InputError for files that cannot be read or copied, and a campaign that is there already.
     """
-    from sil.diagnosis.new_campaign import draft
     from sil.files.output_folder import locked_folder, without_parent_steps
+    from sil.inference.campaign.new_campaign import draft
 
     for option, unset in (
         ("out", None),
@@ -171,10 +171,10 @@ def new_campaign(arguments: argparse.Namespace) -> int:
 
 def run_force(arguments: argparse.Namespace, campaign: str, stamps: list[str]) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if not consistent."""
-    from sil.diagnosis.force_page import write_page
-    from sil.diagnosis.force_record import read_motion
-    from sil.diagnosis.force_rig import diagnose_motion
     from sil.files.output_folder import finite, prepare_folder
+    from sil.inference.force.page import write_page
+    from sil.inference.force.record import read_motion
+    from sil.inference.force.rig import diagnose_motion
 
     record = read_motion(campaign)
     folder = prepare_folder(arguments.out, f"{record.name}-diagnosis", arguments.force)

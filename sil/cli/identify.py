@@ -30,12 +30,12 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
-    from sil.identify.estimate import Identified, model_of
+    from sil.inference.identify.estimate import Identified, model_of
     from sil.report.picture import save
 
     parameters = load(arguments.model)
     campaign = load_campaign(arguments.campaign)
-    module = importlib.import_module(f"sil.identify.{WHAT[arguments.what]}")
+    module = importlib.import_module(f"sil.inference.identify.{WHAT[arguments.what]}")
     method = getattr(module, f"identify_{arguments.what}")
     name = f"{campaign.name}-{arguments.what}"
     folder = prepare_folder(arguments.out, name, arguments.force)

@@ -1,6 +1,6 @@
 """Independent pieces of work in forked processes of this machine, answers in order.
 
-Checked by: tests/unit/sil/diagnosis/test_workers.py, tests/faults/test_crash_safety.py
+Checked by: tests/unit/sil/inference/test_workers.py, tests/faults/test_crash_safety.py
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from sil.diagnosis.workers import spread_out
-from sil.fitting.fit import Show, no_progress
+from sil.inference.fit import Show, no_progress
+from sil.inference.workers import spread_out
 from sil.shift_diagnosis.linear import (
     NOISE,
     SIZE_PRIOR,

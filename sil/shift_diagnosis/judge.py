@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 
 from plant.parameters import ParameterSet
-from sil.diagnosis.workers import Stages
 from sil.files.progress import Progress
 from sil.files.quantity import counted
-from sil.fitting.fit import no_progress
+from sil.inference.fit import no_progress
+from sil.inference.workers import Stages
 from sil.shift_diagnosis.challenge import alike_by_theory, challenged
 from sil.shift_diagnosis.fit import Fitter, fits_of
 from sil.shift_diagnosis.healthy import (

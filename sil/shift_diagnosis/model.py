@@ -25,7 +25,7 @@ from plant.integrator.loop import DONE
 from plant.kernel.layout import LENGTH, LengthState, Modes, Parameters
 from plant.kernel.packing import fresh_modes, initial_state
 from plant.parameters import ParameterSet
-from sil.fitting.hypotheses import scaled_of, value_of
+from sil.inference.candidate import scaled_of, value_of
 from sil.shift_diagnosis.shifts import Shift
 
 Floats = NDArray[np.float64]

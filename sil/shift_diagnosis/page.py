@@ -16,13 +16,12 @@ import numpy as np
 
 from can_dbc.errors import InputError
 from plant.parameters import Parameter, load_actuator
-from sil.diagnosis.causes import Cause as Reported
-from sil.diagnosis.causes import diagnosis_json
-from sil.diagnosis.intervals import Interval
 from sil.files.atomic import write_atomically
 from sil.files.progress import Progress
 from sil.files.quantity import counted, noun
-from sil.fitting.model_file import model_file
+from sil.inference.model_file import model_file
+from sil.inference.report import Cause as Reported
+from sil.inference.report import Interval, diagnosis_json
 from sil.j1939.mapping import SignalMapping
 from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.picture import save

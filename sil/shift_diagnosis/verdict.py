@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from sil.diagnosis.verdict import RIVAL_SHARE, UNNAMED
 from sil.files.quantity import counted
+from sil.inference.verdict import RIVAL_SHARE, UNNAMED
 from sil.shift_diagnosis.fit import Fit
 from sil.shift_diagnosis.linear import (
     SIZE_PRIOR,

@@ -22,11 +22,11 @@ def measure() -> Iterator[str]:
 
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
-    from sil.diagnosis.checks import observed
-    from sil.diagnosis.diagnosis import available
-    from sil.fitting.fit import Fitter
-    from sil.fitting.model import CampaignModel
-    from sil.fitting.spread import Spread
+    from sil.inference.campaign.checks import observed
+    from sil.inference.campaign.diagnosis import available
+    from sil.inference.campaign.model import CampaignModel
+    from sil.inference.fit import Fitter
+    from sil.inference.spread import Spread
     from tests.hidden_effects.campaign import hide, write_campaign
     from tests.reference.actuator import Case, actuator
 

@@ -94,7 +94,7 @@ def one(number: int, folder: Path) -> Row | str:
     """Make campaign `number` and diagnose it; return why, if it cannot be made."""
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
-    from sil.diagnosis.diagnosis import diagnose
+    from sil.inference.campaign.diagnosis import diagnose
     from tests.hidden_effects.campaign import write_campaign
     from tests.hidden_effects.draws import drawn
 

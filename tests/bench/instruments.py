@@ -141,7 +141,7 @@ def judged(source: Path, folder: Path, cell: tuple[int, int, bool]) -> dict[str,
     from can_dbc.errors import InputError
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
-    from sil.diagnosis.diagnosis import diagnose
+    from sil.inference.campaign.diagnosis import diagnose
 
     campaign = resampled(source, folder / "resampled", *cell)
     begun = time.perf_counter()

@@ -22,9 +22,9 @@ import numpy as np
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.parameters import load
 from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml, joined, load_campaign
-from sil.diagnosis.designs import designs, imagined
-from sil.diagnosis.diagnosis import Diagnosis, diagnose
-from sil.diagnosis.next_experiment import next_campaign
+from sil.inference.campaign.designs import designs, imagined
+from sil.inference.campaign.diagnosis import Diagnosis, diagnose
+from sil.inference.campaign.next_experiment import next_campaign
 from tests.hidden_effects import effects
 from tests.hidden_effects.campaign import Hidden, hide, measure_next
 

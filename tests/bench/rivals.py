@@ -24,14 +24,14 @@ from scipy.linalg import block_diag
 from plant.errors import IntegrationError
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
-from sil.diagnosis.checks import observed
-from sil.diagnosis.diagnosis import available, diagnose
-from sil.diagnosis.screening import change_of
-from sil.diagnosis.search import Search, Task
-from sil.fitting.fit import FitResult
-from sil.fitting.hypotheses import Candidate, compatible, scaled_of
-from sil.fitting.model import CampaignModel, Floats
-from sil.fitting.spread import Spread
+from sil.inference.campaign.checks import observed
+from sil.inference.campaign.diagnosis import available, diagnose
+from sil.inference.campaign.model import CampaignModel, Floats
+from sil.inference.candidate import Candidate, compatible, scaled_of
+from sil.inference.fit import FitResult
+from sil.inference.screening import change_of
+from sil.inference.search import Search, Task
+from sil.inference.spread import Spread
 from tests.hidden_effects import effects
 from tests.hidden_effects.campaign import hide, write_campaign
 

@@ -14,7 +14,7 @@ import numpy as np
 from plant.effects import CATALOGUE
 from plant.parameters import load
 from sil.cli import main
-from sil.fitting.hypotheses import scaled_of
+from sil.inference.candidate import scaled_of
 from sil.logs import LogFrame, open_writer
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory

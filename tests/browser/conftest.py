@@ -12,8 +12,8 @@ from selenium import webdriver
 
 from plant.parameters import Parameter, ParameterSet, load
 from sil.cli import main
-from tests.unit.sil.diagnosis.made_campaign import made
-from tests.unit.sil.diagnosis.test_force_rig import rig
+from tests.unit.sil.inference.force.test_rig import rig
+from tests.unit.sil.inference.made_campaign import made
 from tests.unit.sil.replay.truck_synthesis import DRIVE, Truck, write_log
 
 FLAGS = (

@@ -375,7 +375,7 @@ def harmless() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch("sil.simulation.runner.run", short))
         stack.enter_context(mock.patch("sil.studies.study.Study.run", refuse))
-        stack.enter_context(mock.patch("sil.diagnosis.diagnosis.diagnose", read_only))
+        stack.enter_context(mock.patch("sil.inference.campaign.diagnosis.diagnose", read_only))
         stack.enter_context(mock.patch("sil.coupling.transports.link.open_link", refuse))
         stack.enter_context(mock.patch("sil.fmu.export.export", refuse))
         yield

@@ -12,7 +12,7 @@ import pytest
 
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
-from sil.diagnosis.diagnosis import diagnose
+from sil.inference.campaign.diagnosis import diagnose
 from tests.bench.hidden_effects import STROKES, Row, row_of
 from tests.hidden_effects.campaign import hide, write_campaign
 from tests.hidden_effects.draws import drawn

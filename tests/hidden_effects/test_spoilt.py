@@ -10,7 +10,7 @@ import pytest
 
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
-from sil.diagnosis.diagnosis import diagnose
+from sil.inference.campaign.diagnosis import diagnose
 from tests.hidden_effects.campaign import hide, write_campaign
 
 Table = dict[str, np.ndarray]

@@ -8,8 +8,8 @@ import pytest
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
 from sil.campaign.simulate import simulate_campaign
-from sil.diagnosis.diagnosis import diagnose
-from sil.diagnosis.residuals import show
+from sil.inference.campaign.diagnosis import diagnose
+from sil.inference.campaign.residuals import show
 from tests.hidden_effects import campaign
 from tests.hidden_effects.campaign import Hidden, write_campaign
 

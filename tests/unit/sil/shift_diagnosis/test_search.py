@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
-from sil.fitting.hypotheses import candidates
+from sil.inference.candidate import candidates
 from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.linear import TAIL, projected
 from sil.shift_diagnosis.model import (

@@ -1,1 +1,0 @@
-"""Measured against simulated: what is wrong, in which equation, why, and what it gains to know."""

@@ -1,0 +1,369 @@
+"""Strokes read and checked: units, scales, channels, clocks, saturation.
+
+What cannot be compared is refused in one line (InputError); what is odd but usable is a finding.
+Checked by: tests/unit/sil/inference/campaign/test_checks.py
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.errors import IntegrationError
+from plant.parameters import ParameterSet
+from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
+from sil.inference.campaign.model import CampaignModel, channel_parts
+from sil.inference.campaign.noise import estimated_noise
+from sil.inference.campaign.observations import StrokeObservation, kind_of, nominal_noise, observe
+from sil.inference.fit import FitResult
+from sil.recording.runs import longest_run
+
+LEAST_DURATION_S = 0.02
+FEWEST_SAMPLES = 16
+SATURATED_SHARE = 0.005
+SHIFT_S = 0.002
+REVERSED = -0.8
+"""Correlation of a measured position with the predicted one below which its sign is reversed."""
+LEAST_MOTION_M = 1e-3
+SATURATED, SWAPPED = "saturated", "swapped"
+
+Signals = dict[str, tuple[Floats, Floats, Floats]]
+"""Measured and predicted values [n], and their instants [n] in s, by channel."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something odd about a file that the diagnosis could live with."""
+
+    file: str
+    channel: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.channel}: {self.text}"
+
+
+def observed(
+    campaign: Campaign, parameters: ParameterSet
+) -> tuple[list[StrokeObservation], list[Finding]]:
+    """Return the strokes of a campaign, checked, and what is odd about them but usable.
+
+    Raises InputError for a stroke that cannot be compared, and if no stroke has a position or a
+    pressure.
+    """
+    findings: list[Finding] = []
+    records = [campaign.record(entry) for entry in campaign.strokes]
+    named = zip(campaign.strokes, (record.columns for record in records), strict=True)
+    findings += [Finding(*what) for what in misspelt_columns(named)]
+    clipped: list[set[str]] = []
+    for entry, record in zip(campaign.strokes, records, strict=True):
+        odd = check_record(entry, record, parameters)
+        findings += odd
+        clipped.append({item.channel for item in odd if item.text.startswith(SATURATED)})
+    strokes = list(map(observe, campaign.strokes, records, itertools.repeat(parameters), clipped))
+    odd, shifts = check_signals(strokes, campaign)
+    findings += odd
+    nominal = nominal_noise(parameters)
+    noise = estimated_noise(strokes, records, nominal)
+    for k, entry in enumerate(campaign.strokes):
+        dead = {
+            name
+            for item in odd
+            if item.file == entry.file and SWAPPED in item.text
+            for name in item.channel.split(", ")
+        }
+        if dead or k in shifts or noise:
+            strokes[k] = observe(
+                entry,
+                records[k],
+                parameters,
+                clipped[k],
+                dead,
+                shift_s=shifts.get(k, 0.0),
+                noise=noise,
+            )
+    if not any(stroke.channels or stroke.internal for stroke in strokes):
+        raise InputError(f"{campaign.folder}: no position and no pressure in any stroke")
+    for name, own in noise.items():
+        usual = nominal[kind_of(name)].sd
+        text = f"noise of {own.sd:.3g}, {own.sd / usual:.2g} times what is usual"
+        findings.append(Finding(campaign.name, name, f"{text}: estimated from the records"))
+    return strokes, findings
+
+
+# --- single records ---------------------------------------------------------------------------
+def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet) -> list[Finding]:
+    """Refuse a stroke that cannot be compared; report what is odd about it.
+
+    Raises InputError naming file and column: too short, uneven sampling, wrong unit or scale,
+    a channel that does not move while the stroke moves.
+    """
+    path, time_s = record.path, record.time_s
+    duration = time_s[-1] - time_s[0]
+    if len(time_s) < FEWEST_SAMPLES or duration < LEAST_DURATION_S:
+        raise InputError(
+            f"{path}: {len(time_s)} samples over {duration:.4g} s; expected a whole stroke"
+        )
+    steps = np.diff(time_s)
+    if steps.max() > 3.0 * np.median(steps):
+        line = int(np.argmax(steps)) + 3
+        raise InputError(
+            f"{path}: line {line}: time_s jumps by {steps.max():.4g} s; "
+            f"expected steps of {np.median(steps):.4g} s"
+        )
+    commands = [when for when, _valve, _duty in entry.conditions.commands] or [0.0]
+    if duration < min(commands) + 0.03:
+        raise InputError(
+            f"{path}: ends at {time_s[-1]:.4g} s; the stroke's first command is at "
+            f"{min(commands):.4g} s"
+        )
+    findings = []
+    if duration < max(commands):
+        text = f"ends before the last command at {max(commands):.4g} s"
+        findings.append(Finding(entry.file, "time_s", text))
+    if "position_m" in record:
+        _check_position(entry, record, parameters)
+    for name in record.columns:
+        if name.startswith("pressure_") and name.endswith("_pa"):
+            findings += _check_pressure(entry, record, name, parameters)
+    return findings
+
+
+def _check_position(entry: CampaignStroke, record: Record, parameters: ParameterSet) -> None:
+    """Refuse a potentiometer that is not in metres, beyond the rig's travel or does not move."""
+    path, values = record.path, record["position_m"]
+    section = "fixed" if entry.conditions.kind == "fixed" else "length"
+    stroke = parameters.value(f"{section}.stroke")
+    largest, moved = float(np.abs(values).max()), float(np.ptp(values))
+    if largest > 2.0 * stroke:
+        raise InputError(
+            f"{path}: position_m: reaches {largest:.4g}; expected metres, at most "
+            f"{1.2 * stroke:.4g} m{_unit_hint(largest / stroke, LENGTHS)}"
+        )
+    if moved < 0.02 * stroke and len(np.unique(values)) < 3:
+        gauges = [c for c in record.columns if c.startswith("pressure_")]
+        if any(float(np.ptp(record[column])) > 5e4 for column in gauges):
+            raise InputError(
+                f"{path}: position_m: does not move from {values[0]:.5g} m while pressures move; "
+                "expected the stroke"
+            )
+    if 0.0 < moved < 0.05 * stroke and "position_internal_m" in record:
+        internal = float(np.ptp(record["position_internal_m"]))
+        if internal > 0.5 * stroke:
+            raise InputError(
+                f"{path}: position_m: moves {moved:.3g} while position_internal_m moves "
+                f"{internal:.3g} m; expected metres"
+            )
+
+
+def _check_pressure(
+    entry: CampaignStroke, record: Record, name: str, parameters: ParameterSet
+) -> list[Finding]:
+    """Refuse a gauge that is not in absolute pascals within its range, or stuck; report clipping."""
+    atmosphere = entry.conditions.atmosphere_pa
+    supply = entry.conditions.supply_pressure_pa
+    values, where = record[name], f"{record.path}: {name}"
+    oil = name == "pressure_oil2_pa"
+    high, low = float(values.max()), float(values.min())
+    if high < 0.02 * atmosphere:
+        raise InputError(
+            f"{where}: at most {high:.4g}; expected pascals, absolute "
+            f"(about {atmosphere:.4g} at rest){_unit_hint(high / supply, PRESSURES)}"
+        )
+    if not oil and high > 2.0 * max(supply, atmosphere):
+        raise InputError(
+            f"{where}: reaches {high:.4g} Pa; expected at most the supply's "
+            f"{supply:.4g} Pa{_unit_hint(high / supply, PRESSURES)}"
+        )
+    if low < 0.5 * atmosphere and not oil:
+        raise InputError(
+            f"{where}: falls to {low:.4g} Pa; expected absolute pressure, about "
+            f"{atmosphere:.4g} Pa at rest (gauge pressure, or another unit?)"
+        )
+    if high == low:
+        raise InputError(
+            f"{where}: constant at {values[0]:.6g} Pa; expected at least its noise "
+            "(leave a dead channel out)"
+        )
+    top = parameters.value("gauge.range_oil" if oil else "gauge.range_air")
+    clipped = values >= high - 1e-9
+    share = float(np.mean(clipped))
+    if (
+        share > SATURATED_SHARE
+        and high > 1.5 * atmosphere
+        and (high < 0.995 * supply or high >= 0.999 * top)
+        and longest_run(clipped) >= 20
+    ):
+        text = f"{SATURATED} at {high:.6g} Pa ({share:.1%}); left out there"
+        return [Finding(entry.file, name, text)]
+    return []
+
+
+LENGTHS = ((1e3, "millimetres"), (1e2, "centimetres"), (39.37, "inches"), (1e6, "micrometres"))
+PRESSURES = (
+    (1e-5, "bar"),
+    (1e-3, "kilopascals"),
+    (1e-6, "megapascals"),
+    (1.45e-4, "psi"),
+    (1e3, "millipascals, or a scale too large by 1000"),
+)
+
+
+def _unit_hint(ratio: float, units: tuple[tuple[float, str], ...]) -> str:
+    """Return which unit a value off by this factor was probably written in."""
+    if ratio <= 0.0:
+        return ""
+    factor, unit = min(units, key=lambda item: abs(np.log(ratio / item[0])))
+    return f" (in {unit}?)" if abs(np.log(ratio / factor)) < 1.1 else ""
+
+
+# --- measured against predicted ---------------------------------------------------------------
+def check_signals(
+    strokes: Sequence[StrokeObservation], campaign: Campaign
+) -> tuple[list[Finding], dict[int, float]]:
+    """Return swapped gauges and shifted records, found by the unfitted model.
+
+    Returns the findings and the shift [s] of each stroke that has one.  A late valve is no shift:
+    what comes after its closing would not fit then; nor is a plunger that crosses slowly.  Raises
+    InputError for a position of reversed sign.
+    """
+    findings = []
+    shifts: dict[int, float] = {}
+    slow = 0
+    for k, stroke in enumerate(strokes):
+        try:
+            states = stroke.predictor.states(stroke.setup)
+        except IntegrationError:
+            continue
+        pressures, motion = (_signals(stroke, states, kind) for kind in ("pressure", "position"))
+        _refuse_reversed(stroke, states, motion, campaign)
+        findings += [
+            Finding(stroke.entry.file, pair, f"channels are {SWAPPED}; left out")
+            for pair in _swapped(pressures, 1e9, 0.1)
+        ]
+        shift = time_shift(pressures)
+        # late gauges are no shifted record: the position would be late too
+        moves_too = not motion or np.diff(_shift_costs(motion, np.array([0.0, shift])))[0] < 0.0
+        if abs(shift) >= SHIFT_S and moves_too:
+            shifts[k] = shift
+            slow += _creeps(stroke, pressures, shift)
+    if 2 * slow >= len(shifts):
+        return findings, {}
+    findings += [_shifted(strokes[k], shift, "; taken off") for k, shift in shifts.items()]
+    return findings, shifts
+
+
+def _refuse_reversed(
+    stroke: StrokeObservation, states: Floats, motion: Signals, campaign: Campaign
+) -> None:
+    """Refuse a position that moves opposite to the commanded motion."""
+    signals = {name: (measured, predicted) for name, (measured, predicted, _t) in motion.items()}
+    if stroke.internal is not None:
+        about_s = stroke.internal.published_s - 2.0 * stroke.setup.chain.period_s
+        there = np.interp(about_s, stroke.time_s, states[:, 0])
+        signals["position_internal_m"] = stroke.internal.values_m, there
+    for name, (measured, predicted) in signals.items():
+        moves = np.ptp(predicted) > LEAST_MOTION_M and np.ptp(measured) > 0.3 * np.ptp(predicted)
+        if moves and np.corrcoef(measured, predicted)[0, 1] < REVERSED:
+            raise InputError(
+                f"{campaign.folder / stroke.entry.file}: {name}: moves opposite to the commanded "
+                "motion: its sign is reversed (state scale = -1 in [columns]), or kind or commands "
+                "are those of another stroke"
+            )
+
+
+def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
+    """Return what the fit itself shows of single strokes: swapped channels, a shifted time base."""
+    findings = []
+    for k, block in fit.blocks.items():
+        stroke = model.strokes[k]
+        pressures = {
+            c.name: (c.measured, c.measured - part * c.sd, stroke.time_s[c.rows])
+            for c, part in channel_parts(stroke, block.residual)
+            if c.kind == "pressure"
+        }
+        findings += [
+            Finding(stroke.entry.file, pair, f"channels are {SWAPPED}")
+            for pair in _swapped(pressures, 1e8, 0.25)
+        ]
+        shift = time_shift(pressures)
+        if abs(shift) >= SHIFT_S:
+            findings.append(_shifted(stroke, shift))
+    return findings
+
+
+def _signals(stroke: StrokeObservation, states: Floats, kind: str) -> Signals:
+    return {
+        c.name: (c.measured, states[c.rows, c.state], stroke.time_s[c.rows])
+        for c in stroke.channels
+        if c.kind == kind
+    }
+
+
+def _shifted(stroke: StrokeObservation, shift: float, then: str = "") -> Finding:
+    text = f"the record runs {1e3 * shift:+.1f} ms against its commands{then}"
+    return Finding(stroke.entry.file, "time_s", text)
+
+
+def _creeps(stroke: StrokeObservation, pressures: Signals, shift: float) -> bool:
+    """Return whether plungers that cross slowly explain a stroke better than a shift of its record.
+
+    Both ways slow, a plunger is half its travel late at opening and at closing alike.
+    """
+    if shift <= 0.0:
+        return False
+    setup = stroke.setup.copy()
+    setup.creep_s = 2.0 * shift
+    try:
+        states = stroke.predictor.states(setup)
+    except IntegrationError:
+        return False
+    slow = _shift_costs(_signals(stroke, states, "pressure"), np.zeros(1))
+    return bool(slow[0] < _shift_costs(pressures, np.array([shift]))[0])
+
+
+def _swapped(pressures: Signals, least: float, share: float) -> list[str]:
+    """Return pairs of gauges whose misfit is at least this [Pa^2] and less than a share if exchanged."""
+
+    def misfit(measured: Floats, predicted: Floats) -> float:
+        return float(np.mean((measured - predicted) ** 2))
+
+    found = []
+    for one, two in itertools.combinations(sorted(pressures), 2):
+        (a, b, _t), (c, d, _s) = pressures[one], pressures[two]
+        if len(a) != len(c):
+            continue
+        straight = misfit(a, b) + misfit(c, d)
+        if straight > least and misfit(a, d) + misfit(c, b) < share * straight:
+            found.append(f"{one}, {two}")
+    return found
+
+
+def time_shift(pressures: Signals) -> float:
+    """Return the shift of the measured pressures against the predicted ones that explains them [s].
+
+    Zero unless a shift removes nine tenths of the misfit.
+    """
+    if not pressures:
+        return 0.0
+    coarse = np.arange(-0.03, 0.0301, 0.0005)
+    costs = _shift_costs(pressures, coarse)
+    here = costs[len(coarse) // 2]
+    if not (here > 1e8 and costs.min() < 0.1 * here):
+        return 0.0
+    fine = float(coarse[int(np.argmin(costs))]) + np.arange(-0.0005, 0.00051, 0.0001)
+    return float(fine[int(np.argmin(_shift_costs(pressures, fine)))])
+
+
+def _shift_costs(pressures: Signals, shifts: Floats) -> Floats:
+    """Return the sum of the mean squared misfits of all signals at each shift [shifts]."""
+    costs = np.zeros(len(shifts))
+    for measured, predicted, time_s in pressures.values():
+        for j, shift in enumerate(shifts):
+            moved = np.interp(time_s - shift, time_s, predicted)
+            costs[j] += float(np.mean((measured - moved) ** 2))
+    return costs

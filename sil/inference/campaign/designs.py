@@ -1,0 +1,171 @@
+"""Strokes that could be measured next, on a rig that is known by what was measured on it.
+
+Checked by: tests/unit/sil/inference/campaign/test_next_experiment.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
+from plant.errors import IntegrationError
+from plant.kernel.layout import FIXED, LENGTH
+from plant.parameters import ParameterSet
+from plant.systems.stroke import simulate
+from sil.campaign.campaign import CampaignStroke, Floats, Record, stroke_columns
+from sil.campaign.simulate import TAIL_S
+from sil.inference.campaign.observations import StrokeObservation, observe
+
+PULSES_S = (0.02, 0.05)
+"""How long a valve is commanded open instead: shorter and longer than it takes to close."""
+LATER_S = 3.0
+"""So long a stroke is recorded before it begins instead: a clock that drifts has drifted by then."""
+LOWER = 2.0 / 3.0
+"""Share of the pressure above atmosphere that is tried too where all strokes had one supply."""
+TRAVEL = 0.9
+"""Share of the stroke that the stay must make with the given parameters."""
+HELD = {
+    "fixed": ("1", "2"),
+    "N-B": ("B", "N"),
+    "N-F": ("F", "N"),
+    "B-N": ("N", "B"),
+    "F-N": ("N", "F"),
+}
+"""By kind: the chamber that drives, and the one that can be charged before and vented against it."""
+
+
+def designs(
+    strokes: Sequence[StrokeObservation], folder: str, *, every_rest: bool = False
+) -> list[CampaignStroke]:
+    """Return strokes that the rig can do, each once: what was measured, varied.
+
+    Kinds, loads and springs as measured; supply pressures from the lowest to the highest one that
+    was; the driving valve as commanded, LATER_S later, or open for PULSES_S; the opposite chamber
+    charged and vented as the stroke begins, or not. folder: of their files; every_rest: with the shortest and the
+    longest rest, otherwise with the first one.
+    """
+    measured = [stroke.conditions for stroke in strokes]
+    supplies = _supplies(measured)
+    rests = sorted({c.rest_s for c in measured})
+    rests = sorted({rests[0], rests[-1]}) if every_rest else [measured[0].rest_s]
+    found: dict[StrokeConditions, None] = {}
+    for base in measured:
+        for commanded in (base, *_against(base)):
+            for commands in (commanded.commands, *_pulses(commanded), *_later(commanded)):
+                for supply_pa in supplies:
+                    for rest_s in rests:
+                        new = replace(
+                            commanded,
+                            commands=commands,
+                            supply_pressure_pa=supply_pa,
+                            rest_s=rest_s,
+                            progress=1.0,
+                        )
+                        found.setdefault(new, None)
+    return [
+        CampaignStroke(str(Path(folder) / f"design_{number:03d}.csv"), described(c), c)
+        for number, c in enumerate(found, start=1)
+    ]
+
+
+def described(conditions: StrokeConditions) -> str:
+    """Return a stroke's conditions in a few words."""
+    c = conditions
+    words = [c.kind, f"{c.supply_pressure_pa / 1e5:.3g} bar"]
+    if c.load != "none":
+        words.append(c.load)
+    if c.charged_before:
+        words.append(f"{' and '.join(c.charged_before)} charged before")
+    begins: dict[str, float] = {}
+    for when, valve, duty in c.commands:
+        if duty > 0.0:
+            begins.setdefault(valve, when)
+        elif valve in begins:
+            words.append(f"valve {valve} open for {1e3 * (when - begins.pop(valve)):.3g} ms")
+    begin_s = min((when for when, _valve, _duty in c.commands), default=0.0)
+    if begin_s >= 1.0:
+        words.append(f"begun {begin_s:.3g} s into the record")
+    return ", ".join([*words, f"after {c.rest_s:.3g} s"])
+
+
+def _supplies(measured: Sequence[StrokeConditions]) -> list[float]:
+    """Return the lowest, the middle and the highest supply pressure measured, at least two."""
+    distinct = sorted({c.supply_pressure_pa for c in measured})
+    if len(distinct) == 1:
+        atmosphere = measured[0].atmosphere_pa
+        return [atmosphere + LOWER * (distinct[0] - atmosphere), *distinct]
+    return sorted({distinct[0], distinct[len(distinct) // 2], distinct[-1]})
+
+
+def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
+    """Yield the stroke against a chamber that stands at the supply and is vented as it begins.
+
+    Only where that chamber holds the piston where the stroke begins.
+    """
+    driving, opposite = HELD[base.kind]
+    begins = [when for when, valve, duty in base.commands if valve == driving and duty > 0.0]
+    at_rest = base.start_offset_m == 0.0 and not base.charged_before
+    if begins and at_rest and all(valve != opposite for _, valve, _ in base.commands):
+        commands = tuple(sorted([*base.commands, (begins[0], opposite, 0.0)]))
+        yield replace(base, commands=commands, charged_before=(opposite,))
+
+
+def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
+    """Yield the commands with the driving valve open for PULSES_S instead."""
+    driving = HELD[base.kind][0]
+    own = [(when, duty) for when, valve, duty in base.commands if valve == driving]
+    if not own or own[0][1] <= 0.0:
+        return
+    others = [command for command in base.commands if command[1] != driving]
+    begin_s = own[0][0]
+    for pulse_s in PULSES_S:
+        pulse = [(begin_s, driving, FULL_DUTY), (round(begin_s + pulse_s, 6), driving, 0.0)]
+        yield tuple(sorted([*others, *pulse]))
+
+
+def _later(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
+    """Yield the commands LATER_S later in the record, if they are at its beginning."""
+    if all(when < LATER_S for when, _valve, _duty in base.commands):
+        yield tuple((when + LATER_S, valve, duty) for when, valve, duty in base.commands)
+
+
+def imagined(
+    entries: Sequence[CampaignStroke],
+    strokes: Sequence[StrokeObservation],
+    parameters: ParameterSet,
+    rate_hz: float,
+) -> list[StrokeObservation]:
+    """Return strokes as they would be observed, with the channels and the noise of measured ones.
+
+    What the parameters cannot simulate is left out, and a stroke that does not arrive.
+    """
+    noise = {c.name: c.noise for stroke in strokes for c in stroke.channels}
+    internal = any(stroke.internal is not None for stroke in strokes)
+    end_s = max(float(stroke.time_s[-1]) for stroke in strokes)
+    stroke_m = {
+        FIXED: parameters.value("fixed.stroke"),
+        LENGTH: parameters.value("length.stroke"),
+    }
+    found = []
+    for entry in entries:
+        last_s = max((when for when, _valve, _duty in entry.conditions.commands), default=0.0)
+        time_s = np.arange(round(max(end_s, last_s + TAIL_S) * rate_hz) + 1) / rate_hz
+        with suppress(IntegrationError):
+            stroke = simulate(parameters, entry.conditions, time_s)
+            if np.ptp(stroke.position_m) < TRAVEL * stroke_m[entry.conditions.system]:
+                continue
+            columns = stroke_columns(stroke)
+            record = Record(Path(entry.file), _recorded(columns, set(noise), internal))
+            found.append(observe(entry, record, parameters, noise=noise))
+    return found
+
+
+def _recorded(columns: dict[str, Floats], names: set[str], internal: bool) -> dict[str, Floats]:
+    """Return the columns that the recorder has."""
+    others = {"time_s", "position_internal_m"} if internal else {"time_s"}
+    return {name: values for name, values in columns.items() if name in names | others}

@@ -1,0 +1,177 @@
+"""Figures of a diagnosis: strokes with their residuals, misfit by channel and phase, terms.
+
+Checked by: tests/unit/sil/inference/test_diagnose.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import inf, isfinite, log10
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sil.campaign.campaign import Floats
+from sil.inference.campaign.model import channel_parts
+from sil.inference.campaign.phases import PHASES
+from sil.inference.campaign.residuals import Shown
+from sil.report.figure import (
+    BAR,
+    MM,
+    MS,
+    Band,
+    ColourScale,
+    Figure,
+    Panel,
+    Rule,
+    Series,
+    Span,
+    Stack,
+)
+
+if TYPE_CHECKING:
+    from plant.effects.term import TermForm
+    from sil.inference.campaign.diagnosis import Diagnosis
+    from sil.inference.campaign.next_experiment import NextExperiment
+    from sil.inference.campaign.observations import Channel
+    from sil.inference.campaign.one_equation import Alone
+    from sil.inference.report import Interval
+STROKES_DRAWN = 3
+BEFORE, AFTER = "healthy model", "extended model"
+UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
+REDS = ("#fff7ec", "#fdd49e", "#fc8d59", "#d7301f", "#7f0000")
+RMS = ColourScale("log10 of the rms", -0.05, 1.5, REDS)
+
+
+def worst(result: Diagnosis) -> list[int]:
+    """Return the strokes that the healthy model fits worst, of different kinds, held-out ones first."""
+    strokes = list(result.held_out) or list(result.healthy.blocks)
+    squares = {k: float(np.mean(result.healthy.blocks[k].residual ** 2)) for k in strokes}
+    chosen: dict[str, int] = {}
+    for k in sorted(strokes, key=lambda k: -squares[k]):
+        chosen.setdefault(result.model.strokes[k].entry.label, k)
+    return list(chosen.values())[:STROKES_DRAWN]
+
+
+def strokes_figure(result: Diagnosis) -> Figure:
+    """Return a few strokes: each channel measured and of both models, and its residuals."""
+    return Figure([_stroke(result, k) for k in worst(result)])
+
+
+def _stroke(result: Diagnosis, k: int) -> Stack:
+    entry = result.model.strokes[k].entry
+    panels = list(_channels(result, k))
+    return Stack("time, ms", panels, f"{entry.label} ({entry.file})", width=5.0)
+
+
+def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
+    stroke = result.model.strokes[k]
+    ms = MS * stroke.time_s
+    models = [(BEFORE, result.healthy, "before", False)]
+    if result.final is not result.healthy:
+        models.append((AFTER, result.final, "after", True))
+    parts = [list(channel_parts(stroke, fit.blocks[k].residual)) for _n, fit, _r, _d in models]
+    for n, channel in enumerate(stroke.channels):
+        unit, scale = UNITS[channel.kind]
+        x = ms[channel.rows]
+        lines = [Series("measured", x, scale * channel.measured, "measured", width=2.2)]
+        residuals = []
+        for (name, _fit, role, dashed), found in zip(models, parts, strict=True):
+            r = found[n][1]
+            predicted = scale * (channel.measured - r * channel.sd)
+            lines.append(Series(name, x, predicted, role, dashed=dashed, width=0.9))
+            residuals.append(Series(name, x, r, role, width=0.6))
+        yield Panel(_title(channel), unit, lines, height=120, legend=n == 0)
+        band = Span(-inf, inf, "grid", "", -3.0, 3.0)
+        yield Panel("residual / sd", "", residuals, spans=[band], height=80, legend=False)
+
+
+def phases_figure(before: Shown, after: Shown) -> Figure:
+    """Return the misfit by channel and phase of both models."""
+    channels = list(before.by_phase)
+    names = [phase for phase in PHASES if any(phase in row for row in before.by_phase.values())]
+    ticks = [(float(j), name) for j, name in enumerate(names)]
+    stacks = []
+    for shown, title in ((before, BEFORE), (after, AFTER)):
+        spans = [
+            Span(j - 0.5, j + 0.5, RMS.colour(log10(max(v, 0.5))), f"{v:.3g}", i - 0.5, i + 0.5)
+            for i, channel in enumerate(channels)
+            for j, phase in enumerate(names)
+            if isfinite(v := shown.by_phase.get(channel, {}).get(phase, np.nan))
+        ]
+        rows = [(float(i), name) for i, name in enumerate(channels)]
+        limits = (len(channels) - 0.5, -0.5)
+        height = 60 + 34 * len(channels)
+        panel = Panel(
+            "rms over its expected scatter", spans=spans, ticks=rows, limits=limits, height=height
+        )
+        stacks.append(Stack("phase", [panel], title, ticks=ticks, width=6.5))
+    return Figure(stacks)
+
+
+def equations_figure(result: Diagnosis, k: int, before: Alone, after: Alone) -> Figure:
+    """Return the residuals of the force balance and of each chamber alone, before and after."""
+    ms = MS * before.time_s
+    panels = []
+
+    def add(title: str, unit: str, one: Floats, two: Floats) -> None:
+        lines = [
+            Series("given model", ms, one, "before", width=0.9),
+            Series(AFTER, ms, two, "after", width=0.9),
+        ]
+        panels.append(Panel(title, unit, lines, rules=[Rule(0.0, axis="y")], height=120))
+
+    if before.position_m is not None and after.position_m is not None:
+        add("force balance: position", "mm", MM * before.position_m, MM * after.position_m)
+    for name, values in before.pressures_pa.items():
+        if name in after.pressures_pa:
+            other = after.pressures_pa[name]
+            add(f"chamber {name}: pressure", "bar", BAR * values, BAR * other)
+    entry = result.model.strokes[k].entry
+    title = f"{entry.label} ({entry.file}): measured - predicted"
+    return Figure([Stack("time, ms", panels, title, width=12.0)])
+
+
+def term_figure(form: TermForm, nodes: Sequence[Interval]) -> Figure:
+    """Return the estimated term over its variable, with its interval."""
+    x = np.linspace(form.low, form.high, form.count)
+    value, low, high = (
+        np.array([getattr(n, name) for n in nodes]) for name in ("value", "low", "high")
+    )
+    panel = Panel(
+        form.what,
+        form.unit,
+        [Series("estimate", x, value, "after", "marked")],
+        bands=[Band(x, low, high, "after")],
+        rules=[Rule(0.0, axis="y")],
+        height=220,
+    )
+    return Figure([Stack(form.on, [panel], width=12.0)])
+
+
+def next_figure(experiment: NextExperiment) -> Figure:
+    """Return what two hypotheses predict of the most telling stroke, and their difference."""
+    stroke = experiment.shown
+    ms = MS * stroke.time_s
+    names = list(experiment.predicted)
+    parts = [list(channel_parts(stroke, numbers)) for numbers in experiment.predicted.values()]
+    panels = []
+    for n, channel in enumerate(stroke.channels):
+        unit, scale = UNITS[channel.kind]
+        x = ms[channel.rows]
+        roles = zip(names, ("before", "after"), (False, True), parts, strict=True)
+        lines = [
+            Series(name, x, scale * part[n][1] * channel.sd, role, dashed=dashed, width=1.2)
+            for name, role, dashed, part in roles
+        ]
+        panels.append(Panel(_title(channel), unit, lines, height=110, legend=n == 0))
+        apart = parts[0][n][1] - parts[1][n][1]
+        band = Span(-inf, inf, "grid", "", -3.0, 3.0)
+        series = [Series("difference", x, apart, "measured", width=0.8)]
+        panels.append(Panel("apart", "sd", series, spans=[band], height=70, legend=False))
+    title = experiment.strokes[0].entry.label
+    return Figure([Stack("time, ms", panels, title, width=12.0)])
+
+
+def _title(channel: Channel) -> str:
+    return channel.name.removesuffix("_m").removesuffix("_pa").replace("_", " ")

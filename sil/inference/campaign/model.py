@@ -1,0 +1,354 @@
+"""A campaign's strokes as functions of what may be wrong: predictions, residuals, derivatives.
+
+All numbers are standardised by the expected noise of their channel.
+Checked by: tests/unit/sil/inference/test_fit.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from plant.effects import EffectParameter
+from plant.effects.setup import Setup
+from plant.effects.tolerances import shift
+from plant.errors import IntegrationError
+from sil.campaign.campaign import Floats
+from sil.inference.campaign.internal import INTERNAL_SD_M, internal_prediction
+from sil.inference.campaign.observations import Channel, StrokeObservation
+from sil.inference.campaign.split import Stratum, stratum
+from sil.inference.candidate import Candidate, is_scale, log_size, scaled_of
+from sil.inference.problem import Block, ChannelPart, Problem
+from sil.inference.spread import Spread
+
+NS = 1e9
+
+DIFFERENCE = 0.05
+"""Step of the one-sided differences, in prior standard deviations of the quantity."""
+
+EFFECT_STEP = 0.005
+"""Step of the differences of effect parameters, in typical sizes."""
+
+
+Moved = Callable[[str, float], Setup]
+
+USUAL_INTERNAL_RMS, SLOW_INTERNAL_RMS = 0.17, 0.7
+"""Rms of the reported position's residuals: the usual recorder's, and of what a slow one adds."""
+
+FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0.05}
+"""Spread of the rms between clean campaigns, in addition to the one that counting gives."""
+
+SIMULATED = ("friction", "rise", "fall", "supply", "flow_in", "flow_out", "volume_a", "volume_b")
+"""Healthy quantities that a stroke must be simulated again for."""
+
+
+class CampaignModel(Problem):
+    """The strokes of a campaign and the healthy spread: what any hypothesis is compared with.
+
+    measured: by stroke, all compared numbers [n] as measured, standardised; offset_columns: by
+    stroke, what one standard deviation of each sensor's offset adds to them [n, offsets].
+    Everywhere, shared [shared] and scatter [scatter] are in prior standard deviations, the
+    hypothesis' own parameters in typical sizes, and compared numbers have no unit.
+    """
+
+    def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
+        self.strokes = list(strokes)
+        self.spread = spread
+        kinds = {stroke.offset_of(c): c.kind for stroke in self.strokes for c in stroke.channels}
+        self.offsets = tuple(sorted(kinds, key=lambda name: (kinds[name] != "position", name)))
+        self.unit = tuple(spread.unit)
+        self.scatter = tuple(spread.stroke)
+        self.measured = [_standardised(stroke) for stroke in self.strokes]
+        self.offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
+        # where each stroke was simulated last: a step that is accepted is linearised there
+        self._last: dict[int, tuple[tuple[Any, ...], Setup, Floats]] = {}
+        self._residual: dict[int, Floats] = {}
+
+    # --- prediction ---------------------------------------------------------------------------
+    def setup(
+        self,
+        k: int,
+        amounts: dict[str, float],
+        candidates: Sequence[Candidate],
+        values: Sequence[Mapping[str, float]],
+    ) -> Setup:
+        """Stroke k's setup with healthy amounts and effects applied."""
+        setup = self.strokes[k].setup.copy()
+        for name, amount in amounts.items():
+            if amount != 0.0:
+                shift(setup, name, amount)
+        for candidate, own in zip(candidates, values, strict=True):
+            candidate.change(setup, own)
+        return setup
+
+    def predict(self, k: int, setup: Setup, rounded: bool = False) -> Floats:
+        """Return the compared numbers [n] of stroke k, without sensor offsets.
+
+        rounded: with the timer's rounding at rest, which has no derivative. Raises IntegrationError
+        where the motion cannot be continued.
+        """
+        return self.numbers_of(k, setup, self.strokes[k].predictor.states(setup), rounded)
+
+    def numbers_of(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
+        """Return the compared numbers [n] of stroke k in the states [instants, states], SI units."""
+        stroke = self.strokes[k]
+        out = np.empty(stroke.total)
+        begin = 0
+        for channel in stroke.channels:
+            values = stroke.predicted(channel, states, setup)
+            end = begin + len(values)
+            np.divide(values, channel.sd, out=out[begin:end])
+            begin = end
+        if stroke.internal is not None:
+            reported = internal_prediction(
+                stroke.internal, stroke.time_s, states[:, 0], setup, rounded
+            )
+            np.divide(reported, stroke.internal.sd_m, out=out[begin:])
+        return out
+
+    def measure(self, k: int, numbers: Floats) -> None:
+        """Take other compared numbers [n], standardised, as those measured of stroke k."""
+        self.measured[k] = numbers
+        self._residual.pop(k, None)
+
+    def _offsets_of(self, stroke: StrokeObservation) -> Floats:
+        columns = np.zeros((stroke.total, len(self.offsets)))
+        begin = 0
+        for channel in stroke.channels:
+            n = len(channel.measured)
+            index = self.offsets.index(stroke.offset_of(channel))
+            columns[begin : begin + n, index] = self.spread.offset[channel.kind] / channel.sd
+            begin += n
+        return columns
+
+    def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
+        """Return the healthy amounts of a stroke from the unit's tolerances [shared] and its scatter."""
+        total = dict.fromkeys(SIMULATED, 0.0)
+        for k, name in enumerate(self.unit):
+            total[name] += shared[k] * self.spread.unit[name]
+        for k, name in enumerate(self.scatter):
+            total[name] += scatter[k] * self.spread.stroke[name]
+        return total
+
+    def effect_step(self, tolerance: str, parameter: EffectParameter) -> float:
+        """Step of an effect parameter's difference, in typical sizes.
+
+        Where a tolerance does the same to the plant, the same step: at stops and breakaways the
+        prediction has kinks, and unlike steps would make the two look distinguishable.
+        """
+        if not tolerance:
+            return EFFECT_STEP
+        step = DIFFERENCE * self.spread.size(tolerance)
+        return float(step / (log_size(parameter) if is_scale(parameter) else parameter.typical))
+
+    def name_of(self, k: int) -> str:
+        """Return the file of stroke k."""
+        return self.strokes[k].entry.file
+
+    def stratum(self, k: int) -> Stratum:
+        """Return the conditions that repeated strokes share."""
+        return stratum(self.strokes[k])
+
+    def offsets_in(self, k: int) -> set[str]:
+        """Return the names of the offsets of stroke k's sensors."""
+        return {self.strokes[k].offset_of(channel) for channel in self.strokes[k].channels}
+
+    def parts(self, k: int, residual: Floats) -> Iterator[ChannelPart]:
+        """Yield a residual's parts by channel, the control unit's position last.
+
+        Position and reported position are standardised conservatively (a resting wiper says one
+        thing, not hundreds; a reported value depends on the recorder's step in time), so their floors
+        are lower: by the weights of the samples, and by what clean simulated campaigns show.
+        """
+        stroke = self.strokes[k]
+        for channel, part in channel_parts(stroke, residual):
+            spread = float(np.hypot(FLOOR_SPREAD[channel.kind], channel.noise.uncertainty))
+            yield ChannelPart(channel.name, part, channel.floor, spread)
+        if stroke.internal is not None:
+            usual = (INTERNAL_SD_M / stroke.internal.sd_m) ** 2
+            slow = float(np.sum(1.0 - usual)) * SLOW_INTERNAL_RMS**2
+            floor = float(np.sum(usual)) * USUAL_INTERNAL_RMS**2 + slow
+            spread = FLOOR_SPREAD["internal"] + 0.5 * slow / floor
+            yield ChannelPart("position_internal_m", residual[stroke.size :], floor, spread)
+
+    def changed(
+        self,
+        k: int,
+        shared: Floats,
+        scatter: Floats,
+        candidates: Sequence[Candidate],
+        values: Sequence[Mapping[str, float]],
+    ) -> Floats:
+        """Return the numbers [n] of stroke k at values of the candidates, without sensor offsets."""
+        return self.predict(k, self.setup(k, self.amounts(shared, scatter), candidates, values))
+
+    # --- one stroke ---------------------------------------------------------------------------
+    def residual(
+        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+    ) -> Floats:
+        """Return the standardised residual (measured - predicted) [n] of stroke k."""
+        setup, states = self.here(k, shared, scatter, candidates)
+        if k not in self._residual:
+            offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
+            predicted = self.numbers_of(k, setup, states, True)
+            self._residual[k] = self.measured[k] - predicted - self.offset_columns[k] @ offsets
+        return self._residual[k]
+
+    def here(
+        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+    ) -> tuple[Setup, Floats]:
+        """Return setup and states [instants, states] of stroke k in SI units; the last are stored."""
+        spot = (shared.tobytes(), scatter.tobytes(), tuple(item.name for item in candidates))
+        last = self._last.get(k)
+        if last is None or last[0] != spot:
+            values = self.effect_values(candidates, shared[len(self.unit) + len(self.offsets) :])
+            setup = self.setup(k, self.amounts(shared, scatter), candidates, values)
+            last = (spot, setup, self.strokes[k].predictor.states(setup))
+            self._last[k] = last
+            self._residual.pop(k, None)
+        return last[1], last[2]
+
+    def linearise(
+        self,
+        k: int,
+        shared: Floats,
+        scatter: Floats,
+        candidates: Sequence[Candidate],
+        central: bool = False,
+        own_only: bool = False,
+        reuse: Block | None = None,
+        frozen: Collection[int] = (),
+    ) -> Block:
+        """Return stroke k linearised at shared [shared] and its own scatter.
+
+        own_only: by the hypothesis' own parameters alone, the other derivatives are zero; reuse: a
+        block whose derivatives by tolerances and scatter are taken over; frozen: indices of shared
+        parameters by which the derivatives are not needed: zero.
+        """
+        layout = self.layout(candidates)
+        healthy, tolerances = layout.healthy, len(self.unit)
+        scaled = shared[healthy:]
+        amounts = self.amounts(shared, scatter)
+        residual = self.residual(k, shared, scatter, candidates)
+        here = self.here(k, shared, scatter, candidates)
+
+        def moved(name: str, h: float) -> Setup:
+            near, trial = dict(amounts), scaled.copy()
+            if name in near:
+                near[name] += h
+            else:
+                trial[layout.effects.index(name)] += h
+            return self.setup(k, near, candidates, self.effect_values(candidates, trial))
+
+        steps: dict[str, float] = {}
+        if not own_only and reuse is None:
+            needed = {*self.scatter, *(n for j, n in enumerate(self.unit) if j not in frozen)}
+            steps = {n: DIFFERENCE * self.spread.size(n) for n in SIMULATED if n in needed}
+        own = [(item.effect, p) for item in candidates for p in item.parameters]
+        delays: dict[str, tuple[str, float]] = {}
+        wanted = zip(layout.effects, own, scaled, strict=True)
+        for name, (effect, parameter), value in (
+            item for j, item in enumerate(wanted, healthy) if j not in frozen
+        ):
+            step = self.effect_step(effect.tolerance, parameter)
+            if scaled_of(parameter, parameter.high) - value < step:
+                step = -step
+            if effect.switching and not own_only:
+                later_s = _delay_s(moved(name, step), effect.switching)
+                by_step = (later_s - _delay_s(here[0], effect.switching)) / step
+                delays[name] = effect.switching, by_step
+            else:
+                steps[name] = step
+        base, columns = self.derivatives(k, here, moved, steps, central)
+        by_shared = np.zeros((len(base), len(layout.names)))
+        if reuse is not None:
+            by_shared[:, :tolerances] = reuse.shared[:, :tolerances]
+            by_scatter = reuse.scatter
+        else:
+            by_scatter = np.zeros((len(base), len(self.scatter)))
+            if not own_only:
+                for j, name in enumerate(self.unit):
+                    if name in columns:
+                        by_shared[:, j] = columns[name] * self.spread.unit[name]
+                for j, name in enumerate(self.scatter):
+                    by_scatter[:, j] = columns[name] * self.spread.stroke[name]
+        by_shared[:, tolerances:healthy] = self.offset_columns[k]
+        by_second = (
+            columns
+            if reuse is None
+            else {
+                name: reuse.scatter[:, j] / self.spread.stroke[name]
+                for j, name in enumerate(self.scatter)
+            }
+        )
+        for name, (instant, by_step) in delays.items():
+            columns[name] = by_second[instant] * by_step
+        for j, name in enumerate(layout.effects, healthy):
+            if name in columns:
+                by_shared[:, j] = columns[name]
+        return Block(residual, by_shared, by_scatter, base)
+
+    def derivatives(
+        self,
+        k: int,
+        here: tuple[Setup, Floats],
+        moved: Moved,
+        steps: Mapping[str, float],
+        central: bool,
+    ) -> tuple[Floats, dict[str, Floats]]:
+        """Return the smooth prediction [n] of stroke k and its derivatives [n] by the names in `steps`.
+
+        here: setup and states; moved(name, h): the setup with one quantity moved by h; steps: how
+        far for a difference.
+        """
+        base = self.numbers_of(k, *here, rounded=False)
+        return base, {
+            name: self.difference(k, base, partial(moved, name), step, central)
+            for name, step in steps.items()
+        }
+
+    def difference(
+        self, k: int, base: Floats, moved: Callable[[float], Setup], step: float, central: bool
+    ) -> Floats:
+        """Difference quotient [n]; one-sided, or with a smaller step, where the motion breaks off.
+
+        Raises IntegrationError if no step can be simulated.
+        """
+        if central:
+            # wider, against the rounding of the integration: the error is of second order here
+            wide = 4.0 * step
+            with suppress(IntegrationError):
+                difference = self.predict(k, moved(wide)) - self.predict(k, moved(-wide))
+                return difference / (2.0 * wide)
+        for h in (step, -step, 0.1 * step, -0.1 * step):
+            with suppress(IntegrationError):
+                return (self.predict(k, moved(h)) - base) / h
+        raise IntegrationError("no direction in which the motion can be continued")
+
+
+def _standardised(stroke: StrokeObservation) -> Floats:
+    parts = [channel.measured / channel.sd for channel in stroke.channels]
+    if stroke.internal is not None:
+        parts.append(stroke.internal.values_m / stroke.internal.sd_m)
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def channel_parts(stroke: StrokeObservation, residual: Floats) -> Iterator[tuple[Channel, Floats]]:
+    """Yield the channels of a stroke with their part [n] of its residual, in standard deviations.
+
+    The control unit's position, which is after them, is left out.
+    """
+    begin = 0
+    for channel in stroke.channels:
+        end = begin + len(channel.measured)
+        yield channel, residual[begin:end]
+        begin = end
+
+
+def _delay_s(setup: Setup, instant: str) -> float:
+    timing = setup.timing
+    return (timing.rise_ns if instant == "rise" else timing.fall_ns) / NS

@@ -1,0 +1,490 @@
+"""The strokes to measure next: those from which most is to be learned about what is still open.
+
+What is open are questions, each a few hypotheses with probabilities: the rivals of a verdict; the
+named cause and the next best explanation; or, where nothing is claimed, a healthy unit and one with
+a cause that these strokes would not have shown.  A stroke is worth what it is expected to add to
+the log evidence of a hypothesis that is true over another one,
+
+    d = 1/2 (r' W r - g' M^-1 g),  W = (1 + B B')^-1,  g = J' W r,  M = P + J' W J,
+
+r being the difference of the two predictions once the false one's own scatter of this stroke is
+fitted (its prior counts in r'r), B the derivatives by that scatter, J those by all else that it may
+move to follow (tolerances, offsets, its own parameters), and P what the strokes measured so far say
+of those.  Sums over strokes of r'Wr, g and J'WJ give d of them
+together.  From d follows the expected information on a question, by the estimate for mixtures of
+Kolchinsky and Tracey (Entropy 19, 2017, 361), and strokes are added one by one where it grows most.
+The idea to place strokes where rivals differ is Box and Hill's (Technometrics 9, 1967, 57-71).
+Assumed: predictions are linear within what is still uncertain of a unit, and a true hypothesis has
+its fitted parameters.
+Checked by: tests/unit/sil/inference/campaign/test_next_experiment.py
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+
+from plant.errors import IntegrationError
+from plant.parameters import ParameterSet
+from sil.campaign.campaign import Campaign, CampaignStroke, Floats
+from sil.files.quantity import counted
+from sil.inference.campaign.designs import described, designs, imagined
+from sil.inference.campaign.model import CampaignModel
+from sil.inference.campaign.observations import StrokeObservation
+from sil.inference.candidate import Candidate, scaled_of
+from sil.inference.fit import FitResult, Fitter
+from sil.inference.verdict import CLAIM, CLAIM_PER_STROKE, CONTEST, Judged, Verdict
+from sil.inference.workers import spread_out
+
+ENOUGH = CLAIM
+"""Log evidence at which two hypotheses count as separated."""
+SURE = 3.0
+"""Log evidence that would do if the equations were exact: ENOUGH counts as this much."""
+FEWEST = 2
+"""Strokes that are proposed at least: one to fit, and one to judge the fit by."""
+MOST = 12
+"""Strokes that are proposed at most."""
+SIZES = (1.0, 0.25)
+"""Sizes of causes that would have to be noticed, in typical ones: the second if all are at the first."""
+SCATTER = 6
+"""Iterations of the fit of a stroke's own scatter."""
+MOST_RIVALS = 4
+"""Hypotheses of a question at most."""
+LEAST = 0.01
+"""Share of a question's information below which a further stroke is not worth its work."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What may be true: causes, shared parameters [shared], and the information on them so far."""
+
+    name: str
+    candidates: tuple[Candidate, ...]
+    shared: Floats
+    normal: Floats
+
+    @classmethod
+    def of(cls, fit: FitResult) -> Hypothesis:
+        """Return the hypothesis of a fit."""
+        return cls(fit.name, fit.candidates, fit.shared, fit.normal)
+
+
+@dataclass(frozen=True)
+class Question:
+    """Hypotheses by number with their probabilities, the pairs (true, false) to tell apart, and what is enough."""
+
+    hypotheses: tuple[int, ...]
+    probabilities: Floats
+    pairs: tuple[tuple[int, int], ...]
+    enough: float = ENOUGH
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """One stroke to measure: expected log evidence by (true, false), of the stroke alone."""
+
+    entry: CampaignStroke
+    alone: dict[tuple[str, str], float]
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """The pair (true, false) that it tells apart best."""
+        return max(self.alone, key=lambda pair: self.alone[pair])
+
+    @property
+    def distance(self) -> float:
+        """Expected log evidence for that pair."""
+        return self.alone[self.pair]
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """The strokes to measure, the first one the most telling, and how well they separate together.
+
+    together: expected log evidence of all of them by (true, false); shown, predicted: the first one
+    as it would be observed, and what the pair that it tells apart best predicts [n], standardised.
+    """
+
+    strokes: tuple[Proposed, ...]
+    separates: tuple[str, ...]
+    together: dict[tuple[str, str], float]
+    shown: StrokeObservation
+    predicted: dict[str, Floats]
+    enough: float
+    purpose: str
+
+    def __iter__(self) -> Iterator[tuple[int, Proposed]]:
+        """Yield strokes that are not alike, and how often each is to be measured."""
+        counts = Counter(item.entry.conditions for item in self.strokes)
+        for item in self.strokes:
+            if count := counts.pop(item.entry.conditions, 0):
+                yield count, item
+
+    @property
+    def separated(self) -> bool:
+        """Whether every pair is expected to be told apart."""
+        return min(self.together.values()) >= self.enough
+
+    @property
+    def weakest(self) -> tuple[str, str]:
+        """The pair (true, false) that is told apart worst."""
+        return min(self.together, key=lambda pair: self.together[pair])
+
+    @property
+    def why(self) -> str:
+        """One sentence: what the strokes are for and what is expected of them."""
+        count = len(self.strokes)
+        one, two = self.weakest
+        least, told = self.together[one, two], sum(d >= self.enough for d in self.together.values())
+        text = f"{self.purpose}: {counted(count, 'stroke')} "
+        if self.separated:
+            return (
+                text + f"{'gives' if count == 1 else 'give'} at least {least:.3g} in log evidence"
+            )
+        if len(self.together) > 2:
+            return text + f"would show {told} of {len(self.together)}"
+        return text + (
+            f"{'gives' if count == 1 else 'give'} {least:.3g} in log evidence for {one} against {two}; "
+            f"{self.enough:.3g} would be enough"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object in diagnosis.json: the first stroke's conditions, then all strokes."""
+        first = self.strokes[0]
+        return {
+            "conditions": {**conditions_of(first.entry), "repeats": next(iter(self))[0]},
+            "separates": list(self.separates),
+            "expected_distance": first.distance,
+            "why": self.why,
+            "enough": self.enough,
+            "strokes": [
+                {
+                    "file": item.entry.file,
+                    "label": item.entry.label,
+                    "true": item.pair[0],
+                    "false": item.pair[1],
+                    "expected_distance": item.distance,
+                }
+                for item in self.strokes
+            ],
+            "together": [
+                {"true": one, "false": two, "expected_distance": d}
+                for (one, two), d in self.together.items()
+            ],
+        }
+
+
+def next_campaign(campaign: Campaign, experiment: NextExperiment) -> Campaign:
+    """Return the campaign to measure next: the proposed strokes, the recorder's columns as before."""
+    return replace(
+        campaign,
+        name=f"{campaign.name}, next",
+        strokes=tuple(item.entry for item in experiment.strokes),
+    )
+
+
+def conditions_of(entry: CampaignStroke) -> dict[str, Any]:
+    """Return a stroke's conditions as campaign.toml has them."""
+    c = entry.conditions
+    return {
+        "kind": c.kind,
+        "supply_pressure_pa": c.supply_pressure_pa,
+        "load": c.load,
+        "rest_s": c.rest_s,
+        "charged_before": list(c.charged_before),
+        "commands": [list(item) for item in c.commands],
+    }
+
+
+def next_experiment(
+    model: CampaignModel,
+    parameters: ParameterSet,
+    campaign: Campaign,
+    verdict: Verdict[Judged],
+    judged: Sequence[Judged],
+    causes: Sequence[Candidate] = (),
+    *,
+    confirm: bool = False,
+    workers: int = 1,
+) -> NextExperiment | None:
+    """Return the strokes to measure next; None if nothing is open, or no stroke of the rig tells more.
+
+    causes: if nothing is claimed, those of which some may be hidden; confirm: ask also whether a
+    cause without rivals is the next best explanation after all.
+    """
+    hypotheses: list[Hypothesis]
+    if verdict.rivals or (verdict.claimed and confirm):
+        hypotheses, question = _between(verdict, judged)
+        questions = [question] if question else []
+        purpose = "to separate " if verdict.rivals else "to check "
+        first, *others = (item.name for item in hypotheses)
+        purpose += f"{first} from {' and '.join(others)}"
+    elif not verdict.claimed and causes:
+        healthy = Hypothesis.of(verdict.healthy.training)
+        enough = max(CLAIM, CLAIM_PER_STROKE * (len(model.strokes) + MOST))
+        hidden: list[Hypothesis] = []
+        for size in SIZES:
+            hidden = hidden or _hidden(model, healthy, causes, size, enough, workers)
+        hypotheses = [healthy, *hidden]
+        questions = [_whether(k, enough) for k in range(1, len(hypotheses))]
+        count = len(hidden)
+        purpose = f"to show {counted(count, 'cause')} that would not have been noticed"
+    else:
+        return None
+    if not questions:
+        return None
+    terms = any(candidate.is_term for item in hypotheses for candidate in item.candidates)
+    entries = designs(model.strokes, "next", every_rest=terms)
+    rate_hz = campaign.sample_rate_hz
+    strokes = imagined(entries, model.strokes, parameters, rate_hz)
+    wider = CampaignModel([*model.strokes, *strokes], model.spread)
+    moved = [_moved(wider, model, item) for item in hypotheses]
+    picked, alone, together = _chosen(wider, len(model.strokes), moved, questions, workers)
+    if not picked:
+        return None
+
+    def by_name(distances: Distances) -> dict[tuple[str, str], float]:
+        return {(moved[i].name, moved[j].name): d for (i, j), d in distances.items()}
+
+    proposed = []
+    for number, k in enumerate(picked, start=1):
+        conditions = wider.strokes[k].conditions
+        entry = CampaignStroke(f"stroke_{number:03d}.csv", described(conditions), conditions)
+        proposed.append(Proposed(entry, by_name(alone[k])))
+    best = proposed[0].pair
+    return NextExperiment(
+        tuple(proposed),
+        tuple(item.name for item in moved),
+        by_name(together),
+        wider.strokes[picked[0]],
+        {item.name: _predicted(wider, picked[0], item) for item in moved if item.name in best},
+        questions[0].enough,
+        purpose,
+    )
+
+
+def _between(
+    verdict: Verdict[Judged], judged: Sequence[Judged]
+) -> tuple[list[Hypothesis], Question | None]:
+    """Return the leading explanations, and the question which of them is true."""
+    leader = verdict.leader
+    asked = {name for group in verdict.rivals for name in group}
+    found = {leader.name: leader}
+    for item in sorted(judged, key=lambda item: item.score):
+        if not item.ids or set(item.ids) >= set(leader.ids) or len(found) == MOST_RIVALS:
+            continue
+        if verdict.rivals:
+            likely = item.probability >= CONTEST * leader.probability
+            is_open = likely and not asked.isdisjoint(item.ids)
+        else:  # the next best one, whatever its probability
+            is_open = len(found) < 2
+        if is_open:
+            found.setdefault(item.name, item)
+    hypotheses = [Hypothesis.of(item.training) for item in found.values()]
+    if len(found) < 2:
+        return hypotheses, None
+    weights = np.array([item.probability if verdict.rivals else 1.0 for item in found.values()])
+    numbers = tuple(range(len(found)))
+    causes = [set(item.ids) for item in found.values()]
+    # forms of one cause need not be told apart
+    pairs = tuple((i, j) for i, j in permutations(numbers, 2) if causes[i] != causes[j])
+    return hypotheses, Question(numbers, weights / weights.sum(), pairs)
+
+
+def _whether(cause: int, enough: float) -> Question:
+    """Return the question whether a cause acts in a unit that is healthy otherwise: hypothesis 0."""
+    return Question((cause, 0), np.array([0.5, 0.5]), ((cause, 0),), enough)
+
+
+def _hidden(
+    model: CampaignModel,
+    healthy: Hypothesis,
+    candidates: Sequence[Candidate],
+    size: float,
+    enough: float,
+    workers: int,
+) -> list[Hypothesis]:
+    """Return the healthy unit with each cause that the strokes measured would not show at that size."""
+    fitter = Fitter(CampaignModel(model.strokes, model.spread))
+    found = [_with(healthy, candidate, size) for candidate in candidates]
+    prior = np.eye(len(healthy.shared))
+
+    def shown(item: Hypothesis) -> float:
+        told = Told({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
+        for k in range(len(model.strokes)):
+            more = _told(fitter, k, [healthy, item], [_whether(1, enough)])
+            told = told if more is None else told.plus(more)
+        return told.distances()[1, 0]
+
+    distances = spread_out(shown, found, workers)
+    return [item for item, d in zip(found, distances, strict=True) if d < enough]
+
+
+def _with(healthy: Hypothesis, candidate: Candidate, size: float) -> Hypothesis:
+    """Return the healthy unit with a cause, at the start of its fits that is next to `size`, in typical ones."""
+
+    def scaled(start: tuple[float, ...]) -> Floats:
+        pairs = zip(candidate.parameters, start, strict=True)
+        return np.array([scaled_of(parameter, value) for parameter, value in pairs])
+
+    def ratio(start: tuple[float, ...]) -> float:
+        return float(abs(np.log(max(abs(scaled(start)[0]), 1e-9) / size)))
+
+    start = min(candidate.starts, key=ratio)
+    main = candidate.parameters[0]
+    name = f"{candidate.name} ({main.name} {start[0]:.3g} {main.unit})".replace(" -)", ")")
+    shared = np.concatenate([healthy.shared, scaled(start)])
+    return Hypothesis(name, (candidate,), shared, healthy.normal)
+
+
+Distances = dict[tuple[int, int], float]
+"""Expected log evidence by (true, false), hypotheses by number."""
+
+
+# --- what a stroke tells ------------------------------------------------------------------------
+@dataclass
+class Told:
+    """Sums over strokes by pair (true, false): r'Wr, J'Wr, J'WJ."""
+
+    squares: dict[tuple[int, int], float]
+    gradients: dict[tuple[int, int], Floats]
+    normals: dict[tuple[int, int], Floats]
+
+    def plus(self, other: Told) -> Told:
+        """Return the sums over the strokes of both."""
+        return Told(
+            {pair: value + other.squares[pair] for pair, value in self.squares.items()},
+            {pair: value + other.gradients[pair] for pair, value in self.gradients.items()},
+            {pair: value + other.normals[pair] for pair, value in self.normals.items()},
+        )
+
+    def distances(self) -> Distances:
+        """Return the expected log evidence of each pair."""
+        return {
+            pair: 0.5 * float(square - g @ np.linalg.solve(self.normals[pair], g))
+            for pair, square in self.squares.items()
+            for g in (self.gradients[pair],)
+        }
+
+
+def information(question: Question, distances: Distances) -> float:
+    """Return the expected information on a question, 0 to the entropy of its probabilities.
+
+    distances: log evidence by (true, false); the other way round the same where it is missing.
+    """
+    scale = SURE / question.enough
+    total = 0.0
+    for i, p in zip(question.hypotheses, question.probabilities, strict=True):
+        mixture = 0.0
+        for j, q in zip(question.hypotheses, question.probabilities, strict=True):
+            d = 0.0 if i == j else distances.get((i, j), distances.get((j, i), 0.0))
+            mixture += q * np.exp(-scale * d)
+        total -= p * np.log(mixture)
+    return float(total)
+
+
+def _told(
+    fitter: Fitter, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
+) -> Told | None:
+    """Return what stroke k would tell; None if a hypothesis cannot simulate it.
+
+    The stroke's own scatter follows by a fit, since edges that move in time are not linear.
+    """
+    model = fitter.model
+    assert isinstance(model, CampaignModel)
+    out = Told({}, {}, {})
+    try:
+        for i, j in dict.fromkeys(pair for question in questions for pair in question.pairs):
+            false = hypotheses[j]
+            model.measure(k, _predicted(model, k, hypotheses[i]))
+            everything = range(len(false.shared))
+            fit = fitter.fit(
+                false.candidates, start=false.shared, use=[k], iterations=SCATTER, freeze=everything
+            )
+            spread = fit.stroke[k]
+            block = model.linearise(k, false.shared, spread, false.candidates)
+            by, b, r = block.shared, block.scatter, block.residual
+            inner = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
+            pull, cross = b.T @ r - spread, b.T @ by
+            out.squares[i, j] = float(r @ r + spread @ spread - pull @ inner @ pull)
+            out.gradients[i, j] = by.T @ r - cross.T @ inner @ pull
+            out.normals[i, j] = by.T @ by - cross.T @ inner @ cross
+    except IntegrationError:
+        return None
+    return out
+
+
+def _predicted(model: CampaignModel, k: int, item: Hypothesis) -> Floats:
+    """Return the compared numbers [n] of stroke k under a hypothesis, offsets included."""
+    setup, states = model.here(k, item.shared, np.zeros(len(model.scatter)), item.candidates)
+    first = len(model.unit)
+    offsets = item.shared[first : first + len(model.offsets)]
+    return model.numbers_of(k, setup, states, rounded=True) + model.offset_columns[k] @ offsets
+
+
+def _moved(model: CampaignModel, old: CampaignModel, item: Hypothesis) -> Hypothesis:
+    """Return a hypothesis among the parameters of another model, new offsets at their prior."""
+    own = len(model.layout(item.candidates).effects)
+    names = [*model.unit, *model.offsets]
+    size = len(names) + own
+    at = [names.index(name) for name in (*old.unit, *old.offsets)] + list(range(len(names), size))
+    shared = np.zeros(size)
+    shared[at] = item.shared
+    normal = np.eye(size)
+    rows = at[: len(item.normal)]
+    normal[np.ix_(rows, rows)] = item.normal
+    return Hypothesis(item.name, item.candidates, shared, normal)
+
+
+def _chosen(
+    model: CampaignModel,
+    measured: int,
+    hypotheses: Sequence[Hypothesis],
+    questions: Sequence[Question],
+    workers: int,
+) -> tuple[list[int], dict[int, Distances], Distances]:
+    """Return the strokes chosen one by one, alike ones together, what each tells alone, and together.
+
+    The first `measured` strokes of the model cannot be chosen.
+    """
+    fitter = Fitter(model)
+    numbers = range(measured, len(model.strokes))
+    told_by = spread_out(lambda k: _told(fitter, k, hypotheses, questions), numbers, workers)
+    choices = {k: told for k, told in zip(numbers, told_by, strict=True) if told is not None}
+    if not choices:
+        return [], {}, {}
+    some = next(iter(choices.values()))
+    nothing = sums = Told(
+        dict.fromkeys(some.squares, 0.0),
+        {pair: np.zeros(len(g)) for pair, g in some.gradients.items()},
+        {(i, j): hypotheses[j].normal for i, j in some.normals},
+    )
+
+    def value(told: Told) -> float:
+        distances = told.distances()
+        return sum(information(question, distances) for question in questions)
+
+    picked: list[int] = []
+    reached = value(sums)
+    most = sum(float(-q.probabilities @ np.log(q.probabilities)) for q in questions)
+    while len(picked) < MOST:
+        best = max(choices, key=lambda k: value(sums.plus(choices[k])))
+        gained = value(sums.plus(choices[best])) - reached
+        if gained < LEAST * most:
+            if not picked or len(picked) >= FEWEST:
+                break
+            best = picked[0]
+        picked.append(best)
+        sums = sums.plus(choices[best])
+        reached = value(sums)
+        enough = all(d >= questions[0].enough for d in sums.distances().values())
+        if enough and len(picked) >= FEWEST:
+            break
+    picked = sorted(picked, key=picked.index)
+    alone = {k: nothing.plus(choices[k]).distances() for k in picked}
+    return picked, alone, sums.distances()

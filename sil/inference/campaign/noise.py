@@ -1,0 +1,123 @@
+"""Noise of measured channels, estimated from what they do between neighbouring samples.
+
+Checked by: tests/unit/sil/inference/campaign/test_noise.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import comb
+
+import numpy as np
+
+from plant.errors import IntegrationError
+from sil.campaign.campaign import Floats, Record
+from sil.inference.campaign.observations import Noise, StrokeObservation, kind_of
+
+ORDER = 3
+DIFFERENCED = 7
+"""Samples of a sixth difference."""
+LOWEST = 0.7
+"""Share of the differences that count, the smallest: the others may be motion ..."""
+LOWEST_RMS = 0.5565
+"""... and their rms for a standard normal distribution."""
+UNCERTAINTY = 2.5
+"""Relative standard error of the estimate, times the square root of the number of differences."""
+AGREES = {"position": 0.45, "pressure": 0.03, "oil": 0.05}
+"""An estimate this near to what is known already, standard errors aside, does not replace it."""
+FEWEST = 12
+CHANCE = 4.0
+"""Log ratio of the medians of two parts of a white spectrum of a windowed record, at most, times the root of
+their numbers."""
+
+
+def noise_of(values: Floats, time_s: Floats | None = None) -> float:
+    """Return the standard deviation of the noise of a sample of values [n].
+
+    By sixth differences, divided by the instants time_s [n] where these are uneven, which motion hardly
+    changes, and by the quiet parts of the upper half of the spectrum; not less than the rounding of
+    the values. The quietest part alone would be too quiet by chance, so every part counts that is as
+    quiet as the second quietest, within what chance allows.
+    """
+    instants = np.arange(float(len(values))) if time_s is None else time_s
+    apart = np.lib.stride_tricks.sliding_window_view(instants, DIFFERENCED) / np.ptp(instants)
+    apart = (apart[:, :, None] - apart[:, None, :]) * len(instants) + np.eye(DIFFERENCED)
+    weights = 1.0 / np.prod(apart, axis=2)
+    weights /= np.linalg.norm(weights, axis=1)[:, None]
+    differences = np.sum(
+        weights * np.lib.stride_tricks.sliding_window_view(values, DIFFERENCED), axis=1
+    )
+    robust = float(np.median(np.abs(differences))) / 0.6745
+    window = np.hanning(len(values))
+    power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
+    bands = np.array_split(power[len(power) // 2 : -1], 8)
+    levels = np.array([np.median(band) for band in bands])
+    chance = np.exp(CHANCE / len(bands[-1]) ** 0.5)
+    most = chance * np.sort(levels)[1]
+    quiet = [band for band, level in zip(bands, levels, strict=True) if level <= most]
+    spectral = float(np.median(np.concatenate(quiet))) / np.log(2.0)
+    return float(max(min(robust, spectral**0.5), rounding_of(values) / 12.0**0.5))
+
+
+def rounding_of(values: Floats) -> float:
+    """Return the step to which values [n] are rounded; 0 if that is not visible."""
+    distinct = np.unique(values)
+    if len(distinct) > 0.5 * len(values) or len(distinct) < 3:
+        return 0.0
+    steps = np.diff(distinct)
+    return float(np.median(steps[steps > 1e-9 * np.ptp(values)]))
+
+
+def estimated_noise(
+    strokes: Sequence[StrokeObservation],
+    records: Sequence[Record],
+    nominal: Mapping[str, Noise],
+) -> dict[str, Noise]:
+    """Return the noise of each channel that differs from the nominal noise of its kind.
+
+    By third differences of measured - predicted where the prediction itself is smooth. Where few
+    samples leave a channel's own estimate uncertain, that of all channels of its kind counts.
+    """
+    found: dict[str, list[Floats]] = {}
+    steps: dict[str, float] = {}
+    for stroke, record in zip(strokes, records, strict=True):
+        try:
+            states = stroke.predictor.states(stroke.setup)
+        except IntegrationError:
+            continue
+        for channel in stroke.channels:
+            predicted = stroke.predicted(channel, states, stroke.setup)
+            smooth = np.abs(np.diff(predicted, ORDER)) < 0.5 * nominal[channel.kind].sd
+            moved = np.diff(channel.measured - predicted, ORDER)[smooth]
+            found.setdefault(channel.name, []).append(np.abs(moved))
+            step = _least_step(record[channel.name])
+            steps[channel.name] = min(step, steps.get(channel.name, step))
+    pooled = {name: np.concatenate(parts) for name, parts in found.items()}
+    noise = {}
+    for name in pooled:
+        kind = kind_of(name)
+        alike = [values for other, values in pooled.items() if kind_of(other) == kind]
+        own = _noise(pooled[name], steps[name])
+        usual, mean = nominal[kind], _noise(np.concatenate(alike), steps[name])
+        best = usual if _agree(mean, usual, AGREES[kind]) else mean
+        best = best if _agree(own, best, AGREES[kind]) else own
+        if best is not usual:
+            noise[name] = best
+    return noise
+
+
+def _least_step(values: Floats) -> float:
+    distinct = np.unique(values)
+    return float(np.diff(distinct).min()) if rounding_of(values) > 0.0 else 0.0
+
+
+def _agree(own: Noise, other: Noise, share: float) -> bool:
+    return abs(own.sd / other.sd - 1.0) <= share + 2.0 * own.uncertainty
+
+
+def _noise(differences: Floats, step: float) -> Noise:
+    if len(differences) < FEWEST:
+        return Noise(1.0, step, np.inf)
+    lowest = np.sort(differences)[: int(LOWEST * len(differences))]
+    sd = float(np.sqrt(np.mean(lowest**2))) / LOWEST_RMS / comb(2 * ORDER, ORDER) ** 0.5
+    return Noise(max(sd, step / 12.0**0.5), step, UNCERTAINTY / len(differences) ** 0.5)

@@ -1,0 +1,223 @@
+"""What was measured, made ready for comparison: instants, channels, expected noise.
+
+The record is thinned where nothing happens: full resolution while something moves, coarse while
+chambers fill; neighbouring samples of a resting potentiometer carry one piece of information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.batch.prediction import Predictor
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.kernel.layout import FIXED, FixedState, LengthState
+from plant.parameters import ParameterSet
+from plant.parts.damper import steady_oil_pressure
+from plant.systems.setup import make_setup
+from sil.campaign.campaign import CampaignStroke, Floats, Record
+from sil.inference.campaign.internal import InternalSamples, internal_samples
+
+NS = 1_000_000_000
+ROOT_12 = 12**0.5
+FINE_S = 2e-4
+POSITION = 1.035
+"""Mean square of the position's residuals over the one that the weights of its samples give ..."""
+POSITION_FLOOR = 0.385**2
+"""... and their mean square with usual noise and sampling, on clean simulated campaigns."""
+SETTLED_S = 0.5
+"""So long after a command, chambers may still fill and vent."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a channel: standard deviation, step of a wire or converter, and whether it was estimated.
+
+    uncertainty: of the standard deviation, relative.
+    """
+
+    sd: float
+    step: float
+    uncertainty: float = 0.0
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured quantity of a stroke: where it is in the record and in the prediction."""
+
+    name: str
+    kind: str  # "position", "pressure", "oil", "internal"
+    state: int
+    measured: Floats
+    sd: Floats
+    rows: NDArray[np.int64]  # rows of the predictor's instants
+    noise: Noise
+    floor: float  # expected sum of squares of standardised residuals
+
+
+@dataclass
+class StrokeObservation:
+    """One stroke: base setup, instants, channels."""
+
+    entry: CampaignStroke
+    setup: Setup
+    predictor: Predictor
+    time_s: Floats
+    channels: tuple[Channel, ...]
+    internal: InternalSamples | None
+
+    @property
+    def conditions(self) -> StrokeConditions:
+        """The stroke's stated conditions."""
+        return self.entry.conditions
+
+    def offset_of(self, channel: Channel) -> str:
+        """Return the name of a channel's offset, which another campaign of the unit does not share."""
+        session = self.entry.session
+        return f"{channel.name} of {session}" if session else channel.name
+
+    @property
+    def size(self) -> int:
+        """How many numbers are compared."""
+        return sum(len(channel.measured) for channel in self.channels)
+
+    @property
+    def total(self) -> int:
+        """How many numbers are compared, the control unit's positions included."""
+        return self.size + (0 if self.internal is None else len(self.internal.values_m))
+
+    def predicted(self, channel: Channel, states: Floats, setup: Setup) -> Floats:
+        """Return what a channel shows of the states [instants, states], [n] in SI units.
+
+        The pressure of the damper's chamber two is that of the model in force.
+        """
+        if channel.kind != "oil" or self.conditions.damper_model != "incompressible":
+            return np.asarray(states[channel.rows, channel.state])
+        out = np.zeros(len(states))
+        position = np.ascontiguousarray(states[:, 0])
+        steady_oil_pressure(position, np.ascontiguousarray(states[:, 1]), setup.p.array, out)
+        return out[channel.rows]
+
+
+def observe(
+    entry: CampaignStroke,
+    record: Record,
+    parameters: ParameterSet,
+    clipped: Collection[str] = (),
+    dead: Collection[str] = (),
+    *,
+    shift_s: float = 0.0,
+    noise: Mapping[str, Noise] | None = None,
+) -> StrokeObservation:
+    """Thin one stroke's record and set the stroke up as its conditions say.
+
+    clipped: columns whose largest value is no measurement; dead: columns to leave out; shift_s: by
+    which the record runs late; noise: of each column, the parameters' own by default.
+    """
+    conditions = entry.conditions
+    setup = make_setup(parameters, conditions)
+    nominal = nominal_noise(parameters)
+    time_s = record.time_s - record.time_s[0] - shift_s
+    step_s = float(np.median(np.diff(time_s)))
+    rows = _thinned(time_s, step_s, conditions, setup)
+    instants = np.rint(time_s[rows] * NS).astype(np.int64)
+    internal, grid = None, instants
+    if "position_internal_m" in record:
+        internal = internal_samples(time_s, record["position_internal_m"])
+    if internal is not None and step_s > FINE_S:
+        # the control unit samples between the instants of a slow recorder
+        fine_s = np.arange(0.0, time_s[-1], FINE_S)
+        thinned = _thinned(fine_s, FINE_S, conditions, setup)
+        grid = np.union1d(instants, np.rint(fine_s[thinned] * NS).astype(np.int64))
+    at = np.searchsorted(grid, instants)
+    fixed = conditions.system == FIXED
+    channels: list[Channel] = []
+
+    def add(column: str, state: int) -> None:
+        kind = kind_of(column)
+        measured, use = record[column][rows], np.full(len(rows), True)
+        if column in clipped and kind == "pressure":
+            use = measured < record[column].max() - 1e-9
+        own = (noise or {}).get(column, nominal[kind])
+        weights, floor = np.ones(len(rows)), 1.0
+        if kind == "position":
+            # a resting wiper stays on one wire: its samples are one observation, not hundreds
+            weights = np.maximum(1.0, _run_lengths(measured, own.step) / 4.0)
+            usual = own is nominal[kind] and step_s <= FINE_S
+            floor = POSITION_FLOOR if usual else POSITION * float(np.mean(1.0 / weights))
+        sd = own.sd * np.sqrt(weights[use])
+        size = floor * np.count_nonzero(use)
+        channels.append(Channel(column, kind, state, measured[use], sd, at[use], own, size))
+
+    if "position_m" in record:
+        add("position_m", 0)
+    first = FixedState.p_1 if fixed else LengthState.p_b
+    for k, name in enumerate(conditions.chambers):
+        column = f"pressure_{name}_pa"
+        if column in record and column not in dead:
+            add(column, first + k)
+    if "pressure_oil2_pa" in record and conditions.load == "damper":
+        add("pressure_oil2_pa", FixedState.p_oil if fixed else LengthState.p_oil)
+    return StrokeObservation(entry, setup, Predictor(grid), grid / NS, tuple(channels), internal)
+
+
+def kind_of(column: str) -> str:
+    """Return the kind of a channel, as in `Channel.kind`."""
+    if column.startswith("position"):
+        return "position"
+    return "oil" if column == "pressure_oil2_pa" else "pressure"
+
+
+def nominal_noise(parameters: ParameterSet) -> dict[str, Noise]:
+    """Return the noise of each kind of channel by the parameters, its converter's step included."""
+    value = parameters.value
+    pot = value("potentiometer.resolution")
+    found = {
+        "position": Noise(float(np.hypot(value("potentiometer.noise_sd"), pot / ROOT_12)), pot)
+    }
+    for kind, medium in (("pressure", "air"), ("oil", "oil")):
+        step = value(f"gauge.range_{medium}") / 2 ** value("gauge.adc_bits")
+        sd = float(np.hypot(value(f"gauge.noise_sd_{medium}"), step / ROOT_12))
+        found[kind] = Noise(sd, step)
+    return found
+
+
+def _thinned(
+    time_s: Floats, step_s: float, conditions: StrokeConditions, setup: Setup
+) -> NDArray[np.int64]:
+    """Rows of the record to compare: 0.2 ms apart while things happen, 1 ms otherwise, 20 ms at rest."""
+    fine, coarse, rest = (max(1, round(apart / step_s)) for apart in (FINE_S, 1e-3, 0.02))
+    keep = np.zeros(len(time_s), dtype=bool)
+    keep[::rest] = True
+    for when, _valve, duty in (*conditions.commands, (0.0, "", 0.0)):
+        opens = duty >= setup.timing.duty_open
+        begin = when + 0.004 if opens else when + 0.02
+        end = when + (0.11 if opens else 0.06)
+        keep[::coarse] |= ((time_s >= when) & (time_s <= when + SETTLED_S))[::coarse]
+        if when:
+            keep[fine - 1 :: fine] |= ((time_s >= begin) & (time_s <= end))[fine - 1 :: fine]
+    keep[-1] = True
+    return np.flatnonzero(keep & (time_s >= 0.0))
+
+
+def _run_lengths(values: Floats, step: float) -> Floats:
+    """Return the length of the run of near-equal neighbours that each sample belongs to.
+
+    step: of a wire or a converter.
+    """
+    close = np.abs(np.diff(values)) < 1.4 * step
+    same = np.concatenate([[False], close])
+    start = np.flatnonzero(~same)
+    lengths = np.diff(np.concatenate([start, [len(values)]]))
+    # only long level stretches count as rest: the wiper's level must not drift
+    out = np.ones(len(values))
+    for begin, length in zip(start, lengths, strict=True):
+        stretch = values[begin : begin + length]
+        if length > 8:
+            level = np.abs(stretch - np.median(stretch)) < 2.4 * step
+            out[begin : begin + length][level] = np.count_nonzero(level)
+    return out

@@ -1,0 +1,251 @@
+"""report.html of a diagnosis: one self-contained page.
+
+Checked by: tests/unit/sil/inference/test_diagnose.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plant.effects import look_alikes
+from plant.effects.user_file import MARK, loaded_effects
+from sil.campaign.campaign import campaign_toml
+from sil.files.atomic import write_atomically
+from sil.files.quantity import noun
+from sil.inference.campaign.consequence import consequence
+from sil.inference.campaign.diagnosis import FALSE_ALARM_BASIS, Diagnosis
+from sil.inference.campaign.figures import (
+    equations_figure,
+    next_figure,
+    phases_figure,
+    strokes_figure,
+    term_figure,
+    worst,
+)
+from sil.inference.campaign.next_experiment import next_campaign
+from sil.inference.campaign.one_equation import Alone, alone
+from sil.inference.campaign.residuals import Shown, show
+from sil.inference.campaign.structure import FAULTS
+from sil.inference.campaign.terms import form_of
+from sil.inference.refused import Tried
+from sil.inference.report import FALSE_ALARM_LEVEL, Cause
+from sil.inference.verdict import Judged
+from sil.inference.workers import spread_out
+from sil.report.picture import save
+from sil.report.plots import plots
+from sil.report.shell import Head, Picture, render
+
+PICTURES = {
+    "strokes": (
+        "Measured and simulated strokes",
+        "The strokes that the given model fits worst among those {where}. Grey: measured. Orange: "
+        "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
+        "residuals over their expected scatter; the band is three standard deviations.",
+    ),
+    "phases": (
+        "Standardised residuals by channel and phase",
+        "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
+        "stroke: the healthy model, and the extended one.",
+    ),
+    "equations": (
+        "Residuals one equation at a time",
+        "One equation at a time: measured pressures into the stay's force balance, measured position "
+        "into each chamber's mass balance. What goes wrong in one of them alone is in that equation. "
+        "Orange: the given model without tolerances. The fixed rig's chambers begin vented here.",
+    ),
+    "next": (
+        "The stroke that tells most",
+        "What the two predict of the first stroke to measure, and their difference over the noise; the "
+        "band is three standard deviations. Tolerances and scatter may follow a part of it.",
+    ),
+    "term": (
+        "What is missing",
+        "What none of the named causes describes, as a function without a form: its value at the "
+        "nodes and their 95 % interval.",
+    ),
+}
+"""What each picture shows, and its caption."""
+
+
+def write_next(result: Diagnosis, folder: Path) -> str | None:
+    """Write next/campaign.toml, the strokes to measure next; return its path, None without any."""
+    if result.next_experiment is None:
+        return None
+    following = next_campaign(result.campaign, result.next_experiment)
+    path = folder / "next" / "campaign.toml"
+    path.parent.mkdir(exist_ok=True)
+    write_atomically(path, campaign_toml(following, following.strokes))
+    return str(path)
+
+
+def write_report(
+    result: Diagnosis, folder: Path, arguments: str, model: str, workers: int = 1
+) -> dict[str, Any]:
+    """Write report.html and its figures for a diagnosis; arguments: of the command that makes it again.
+
+    An extended model that was claimed is in the folder already. Returns the page's numbers beyond
+    those of `Diagnosis.as_json`.
+    """
+    stamps = dict.fromkeys(loaded_effects().values())
+    files = "".join(f" --effects {stamp.partition(MARK)[0]}" for stamp in stamps)
+    before, after = show(result.model, result.healthy), show(result.model, result.final)
+    strokes = strokes_figure(result)
+    figures = {"strokes": strokes, "phases": phases_figure(before, after)}
+    found = _equations(result)
+    if found is not None:
+        figures["equations"] = equations_figure(result, *found)
+    terms = {c.name: c for c in result.final.candidates if c.is_term}
+    for cause in result.causes:
+        candidate = terms.get(f"{cause.id}:{cause.variant}")
+        if candidate is not None:
+            figures["term"] = term_figure(form_of(candidate), list(cause.parameters.values()))
+    if result.next_experiment is not None:
+        figures["next"] = next_figure(result.next_experiment)
+    where = "held out" if result.held_out else "measured"
+    images = spread_out(lambda name: save(figures[name], folder, name), list(figures), workers)
+    pictures = {}
+    for name, image in zip(figures, images, strict=True):
+        alt, caption = PICTURES[name]
+        pictures[name] = Picture(image, alt, caption.format(where=where))
+    loop = None
+    if result.extended is not None:
+        loop = consequence(model, folder / "extended_model.toml")
+    kind = result.verdict.kind
+    head = Head(
+        command="diagnose",
+        name=result.campaign.name,
+        verdict=kind,
+        good=kind == "consistent",
+        tiles=_tiles(result),
+        again=f"opc4 diagnose {arguments}{files}",
+    )
+    page = render(
+        "diagnosis.html",
+        head,
+        plots(strokes),
+        result=result,
+        causes=[(c, _parameter_lines(c), _look_alikes(c, result)) for c in result.causes],
+        pictures=pictures,
+        alone=[] if found is None else _rms_rows(*found[1:]),
+        judged=[
+            (item, _fitted_values(item), result.refusals.get(item.name, Tried(item.ids)))
+            for item in result.judged[:12]
+        ],
+        before=before,
+        after=after,
+        changed=loop,
+        faults=FAULTS,
+        in_unit=_in_unit,
+        false_alarm=f"False alarms, level aimed at: {FALSE_ALARM_LEVEL:.0%}; {FALSE_ALARM_BASIS}",
+    )
+    write_atomically(folder / "report.html", page)
+    return {
+        "explanations": [_explanation(item, result) for item in result.judged],
+        "residuals": {"before": _plain(before), "after": _plain(after)},
+        "loop": None if loop is None else asdict(loop),
+    }
+
+
+def _explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
+    """Return one explanation in plain numbers: behind is in log evidence, left_over an rms.
+
+    tried, refused: how many of its values were tried, and could not be simulated.
+    """
+    counts = result.refusals.get(item.name, Tried(item.ids))
+    pairs = zip(item.training.candidates, item.training.values, strict=True)
+    return {
+        "name": item.name,
+        "behind": item.score - result.judged[0].score,
+        "probability": item.probability,
+        "left_over": item.misfit.rms,
+        "tried": counts.tried,
+        "refused": counts.refused,
+        "parameters": {candidate.name: dict(own) for candidate, own in pairs},
+    }
+
+
+def _plain(shown: Shown) -> dict[str, Any]:
+    """Return residuals in plain numbers: standardised rms, and what they depend on."""
+    cross = [{"channels": list(pair), "value": v} for pair, v in shown.cross.items()]
+    return {**asdict(shown), "cross": cross}
+
+
+def _equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
+    """Return the stroke fitted worst, one equation at a time, before and after; None without channels.
+
+    Before is the given model itself, without tolerances: fitted, those would spread what
+    is wrong over all equations.
+    """
+    final = result.final
+    first, last = len(result.model.unit), result.healthy.layout.healthy
+    shared = np.zeros_like(result.healthy.shared)
+    shared[first:last] = final.shared[first:last]
+    plain = replace(result.healthy, shared=shared, stroke=np.zeros_like(result.healthy.stroke))
+    for k in worst(result):
+        before, after = alone(result.model, plain, k), alone(result.model, final, k)
+        if before.rms() and before.rms().keys() == after.rms().keys():
+            return k, before, after
+    return None
+
+
+def _rms_rows(before: Alone, after: Alone) -> list[tuple[str, str, str]]:
+    """Return rms by equation, before and after."""
+    units = {name: "_pa" if name.startswith("mass") else "_m" for name in before.rms()}
+    return [
+        (name, _in_unit(units[name], value), _in_unit(units[name], after.rms()[name]))
+        for name, value in before.rms().items()
+    ]
+
+
+def _look_alikes(cause: Cause, result: Diagnosis) -> str:
+    """Return the cause's look-alikes that were fitted to the end, and how far each is behind."""
+    found = []
+    for other in look_alikes(cause.id):
+        scores = [i.score for i in result.judged if other in i.ids and cause.id not in i.ids]
+        if scores:
+            found.append(f"{other} {min(scores) - result.verdict.leader.score:,.0f}")
+    return ", ".join(found)
+
+
+def _parameter_lines(cause: Cause) -> list[str]:
+    """Return the parameters as lines; a term's nodes as one."""
+    if "node_00" in cause.parameters:
+        return ["nodes: " + ", ".join(f"{item.value:.3g}" for item in cause.parameters.values())]
+    return [
+        f"{name} {item}" + (f" ({item.note})" if item.note else "")
+        for name, item in cause.parameters.items()
+    ]
+
+
+def _tiles(result: Diagnosis) -> list[tuple[str, str]]:
+    """Return the figures at the top as (value, name)."""
+    tiles = [
+        (str(len(result.model.strokes)), noun(len(result.model.strokes), "stroke")),
+        (str(len(result.held_out)), "of them held out"),
+        (f"{result.gain.before:.3g}", "residual over expected, before"),
+    ]
+    if result.causes:
+        first = result.causes[0]
+        tiles.append((f"{result.gain.after:.3g}", "after"))
+        tiles.append((f"{first.probability:.2f}", f"probability of {first.id}"))
+    return tiles
+
+
+def _fitted_values(item: Judged) -> str:
+    """Return the fitted parameters of an explanation."""
+    texts = []
+    for candidate, own in zip(item.training.candidates, item.training.values, strict=True):
+        if candidate.is_term:
+            texts.append(f"{len(own)} nodes")
+        else:
+            texts += [f"{name} {value:.4g}" for name, value in own.items()]
+    return ", ".join(texts)
+
+
+def _in_unit(name: str, value: float) -> str:
+    """Return an rms in the unit that an engineer reads."""
+    return f"{value / 1e5:.4f} bar" if name.endswith("_pa") else f"{value * 1e3:.4f} mm"

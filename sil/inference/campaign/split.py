@@ -1,0 +1,100 @@
+"""Which strokes train and which are held out: whole strokes, every kind on both sides.
+
+Checked by: tests/unit/sil/inference/campaign/test_split.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sil.inference.campaign.observations import StrokeObservation
+
+HELD_OUT_SHARE = 1.0 / 3.0
+MOST_TRAINING = 14
+ODD = 1.3
+"""Mean square over the usual one beyond which a stroke is odd."""
+
+
+Stratum = tuple[str, str, bool, str]
+
+
+def stratum(stroke: StrokeObservation) -> Stratum:
+    """Return what makes strokes alike: kind, load, whether a chamber is still charged, and the day."""
+    conditions = stroke.conditions
+    charged = bool(conditions.charged_before)
+    return conditions.kind, conditions.load, charged, stroke.entry.session
+
+
+def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the indices of training and held-out strokes.
+
+    A third is held out, strata in turn, the first stroke of each stratum trains; one or two strokes
+    all train.  No more than MOST_TRAINING train: more would cost time and add nothing.  Every rest
+    before a stroke that occurs is among those that train, as far as there are strokes to change.
+    """
+    n = len(strokes)
+    if n < 3:
+        return tuple(range(n)), ()
+    groups: dict[Stratum, list[int]] = {}
+    for k, stroke in enumerate(strokes):
+        groups.setdefault(stratum(stroke), []).append(k)
+    ordered = sorted(
+        (position / len(members), rank, k)
+        for rank, members in enumerate(sorted(groups.values(), key=len, reverse=True))
+        for position, k in enumerate(members)
+    )
+    queue = [k for _position, _rank, k in ordered]
+    training = min(MOST_TRAINING, n - max(1, round(HELD_OUT_SHARE * n)))
+    chosen = _with_every_rest(queue[:training], queue[training:], strokes)
+    return tuple(sorted(chosen)), tuple(sorted(set(range(n)) - set(chosen)))
+
+
+def _with_every_rest(
+    training: list[int], held_out: Sequence[int], strokes: Sequence[StrokeObservation]
+) -> list[int]:
+    """Training strokes, some changed for held-out ones that rested as long as none of them did."""
+    chosen = list(training)
+
+    def rests() -> list[float]:
+        return [strokes[k].conditions.rest_s for k in chosen]
+
+    for k in held_out:
+        if strokes[k].conditions.rest_s in rests():
+            continue
+        spare = [
+            j
+            for j in reversed(chosen)
+            if rests().count(strokes[j].conditions.rest_s) > 1
+            and sum(stratum(strokes[i]) == stratum(strokes[j]) for i in [*chosen, k]) > 1
+        ]
+        alike = [j for j in spare if stratum(strokes[j]) == stratum(strokes[k])]
+        if spare:
+            chosen[chosen.index((alike or spare)[0])] = k
+    return chosen
+
+
+def odd_ones_in(
+    training: tuple[int, ...],
+    held_out: tuple[int, ...],
+    squares: Mapping[int, float],
+    strokes: Sequence[StrokeObservation],
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Split anew where only held-out strokes show that something is wrong: half of those train.
+
+    squares: mean squared residual of every stroke under the healthy fit to the training ones.  As
+    many training strokes that have another of their kind are held out instead.
+    """
+    usual = float(np.median([squares[k] for k in training]))
+    odd = sorted((k for k in held_out if squares[k] > ODD * usual), key=lambda k: -squares[k])
+    moved = odd[: (len(odd) + 1) // 2]
+    remaining = list(training)
+    freed: list[int] = []
+    for k in reversed(training):
+        alike = sum(stratum(strokes[i]) == stratum(strokes[k]) for i in remaining)
+        if len(freed) < len(moved) and alike > 1:
+            remaining.remove(k)
+            freed.append(k)
+    held = sorted((set(held_out) - set(moved)) | set(freed))
+    return tuple(sorted([*remaining, *moved])), tuple(held)

@@ -1,0 +1,183 @@
+"""Hypotheses: which effects act, as parameters that a fit can move.
+
+A hypothesis is a tuple of effects.  Where the vocabulary leaves open what exactly an effect does
+(on which chamber, say), it has variants that share its identifier.
+Checked by: tests/unit/sil/inference/test_candidate.py
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.effects import CATALOGUE, Effect, EffectParameter
+from plant.effects.added_term import compile_terms
+from plant.effects.effect import Need, Starts
+from plant.effects.setup import Setup
+
+EFFECT_PRIOR = 10.0
+"""Width of the prior of an effect's parameter, in typical sizes: weak."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One cause that a fit can try: an effect, or a variant of it.
+
+    parameters: those that are fitted; fixed: the others, that make the variant; starts: values of
+    the fitted ones to begin from; roughness: by how much a parameter, where they are a function's
+    values on a grid, may leave the line of its neighbours, in typical sizes (0: they are none);
+    fills_table: it takes the one tabulated term of the equations; prior: see `Variant`.
+    """
+
+    effect: Effect
+    variant: str
+    parameters: tuple[EffectParameter, ...]
+    starts: Starts
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    roughness: float = 0.0
+    fills_table: bool = False
+    prior: float = 1.0
+
+    def __post_init__(self) -> None:
+        KNOWN[self.name] = self
+
+    def __reduce__(self) -> tuple[Callable[[str], Candidate], tuple[str]]:
+        """Between processes a candidate travels by name: the forked ones inherit them all."""
+        return _known, (self.name,)
+
+    @property
+    def id(self) -> str:
+        """Identifier in the vocabulary."""
+        return self.effect.id
+
+    @property
+    def cause_class(self) -> str:
+        """Class in the vocabulary."""
+        return self.effect.cause_class
+
+    @property
+    def is_term(self) -> bool:
+        """Whether it is a non-parametric term."""
+        return self.effect.nonparametric
+
+    @property
+    def name(self) -> str:
+        """Identifier with the variant."""
+        return f"{self.id}:{self.variant}" if self.variant else self.id
+
+    def change(self, setup: Setup, values: Mapping[str, float]) -> None:
+        """Change a stroke's setup by these values of the fitted parameters."""
+        self.effect.apply(setup, {**self.fixed, **values})
+
+    def physical(self, values: Mapping[str, float]) -> bool:
+        """Return whether the main parameter is on the side that the cause's description means."""
+        main = self.parameters[0]
+        return main.sign * (values[main.name] - main.neutral) >= 0.0
+
+
+def scaled_of(parameter: EffectParameter, value: float) -> float:
+    """Return a parameter's value in typical sizes from neutral; factors and scales count in logarithms.
+
+    A factor on what a tolerance scales too is known through the product alone: in logarithms that
+    valley is straight, and a fit walks along it in one step.
+    """
+    if is_scale(parameter):
+        return math.log(value / parameter.neutral) / log_size(parameter)
+    return (value - parameter.neutral) / parameter.typical
+
+
+def value_of(parameter: EffectParameter, scaled: float) -> float:
+    """Return the value at so many typical sizes from neutral, limited to the physical bounds."""
+    if is_scale(parameter):
+        low, high = scaled_of(parameter, parameter.low), scaled_of(parameter, parameter.high)
+        scaled = min(max(scaled, low), high)
+        raw = parameter.neutral * math.exp(scaled * log_size(parameter))
+    else:
+        raw = parameter.neutral + scaled * parameter.typical
+    return min(max(raw, parameter.low), parameter.high)
+
+
+def is_scale(parameter: EffectParameter) -> bool:
+    """Return whether a parameter is a factor, a width, a volume, a speed: positive wherever it goes."""
+    return parameter.neutral > 0.0 and parameter.low > 0.0
+
+
+def log_size(parameter: EffectParameter) -> float:
+    """Return the typical size of a scale in logarithms."""
+    return math.log1p(parameter.typical / parameter.neutral)
+
+
+def precision(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
+    """Return the inverse covariance [parameters, parameters] of the prior, in typical sizes."""
+    count = sum(len(item.parameters) for item in candidates)
+    out = np.eye(count) / EFFECT_PRIOR**2
+    k = 0
+    for item in candidates:
+        n = len(item.parameters)
+        if item.roughness > 0.0:
+            bends = np.diff(np.eye(n), 2, axis=0) / item.roughness
+            out[k : k + n, k : k + n] += bends.T @ bends
+        k += n
+    return out
+
+
+KNOWN: dict[str, Candidate] = {}
+"""Every candidate made in this process, by name."""
+
+
+def _known(name: str) -> Candidate:
+    return KNOWN[name]
+
+
+def compatible(candidate: Candidate, others: Sequence[Candidate]) -> bool:
+    """Return whether a candidate can act together with others.
+
+    No two variants of one cause, and at most one that fills the tabulated term of the equations.
+    """
+    if any(candidate.id == other.id for other in others):
+        return False
+    return not (candidate.fills_table and any(other.fills_table for other in others))
+
+
+def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
+    """Points to start a search from: the main parameter at several sizes, the others at rest."""
+    main = parameters[0]
+    rest = tuple(item.neutral for item in parameters[1:])
+    found = []
+    for sign in (1.0, -1.0) if main.sign == 0 else (float(main.sign),):
+        for size in (0.15, 0.5, 1.5, 4.0):
+            value = main.neutral + sign * size * main.typical
+            if main.sign == -1 and main.neutral == 1.0:
+                value = 1.0 / (1.0 + size * main.typical)
+            if main.low < value < main.high:
+                found.append((value, *rest))
+    return tuple(found)
+
+
+def candidates(has: Collection[Need]) -> list[Candidate]:
+    """Return all candidates that strokes which have this can show at all."""
+    found: list[Candidate] = []
+    compile_terms()
+    for effect in CATALOGUE.values():
+        if effect.nonparametric:
+            continue
+        fitted = [p for p in effect.parameters if p.fitted]
+        for variant in effect.variants:
+            if set(has) >= {*effect.needs, *variant.needs}:
+                free = tuple(p for p in fitted if p.name not in variant.fixed)
+                found.append(
+                    Candidate(
+                        effect,
+                        variant.name,
+                        free,
+                        variant.starts or starts_of(free),
+                        variant.fixed,
+                        fills_table=variant.fills_table,
+                        prior=variant.prior,
+                    )
+                )
+    return found

@@ -1,0 +1,115 @@
+"""How large residuals are when nothing is wrong: the floor that a fit is compared with.
+
+Checked by: tests/unit/sil/inference/test_fit.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from sil.inference.fit import FitResult
+from sil.inference.problem import Floats, Problem
+
+EXPLAINED = 1.25
+"""Residual over expected noise up to which noise explains it: the noise is an estimate itself."""
+
+DETAIL = 0.02
+"""Excess per number that is a detail, unless a channel by itself is far off: see `LOCAL`."""
+
+LOCAL = 1.0
+"""Excess per number of one channel that is no detail, although a channel of few numbers counts little."""
+
+STRAIN_LEVEL = 1e-6
+"""How rarely the scatter of healthy strokes, or a unit's tolerances, may come out so wide."""
+
+
+@dataclass(frozen=True)
+class ChannelMisfit:
+    """One channel over some strokes: rms over its floor, how many numbers, and the band's edge.
+
+    floor: mean square of its standardised residuals when nothing is wrong.
+    """
+
+    rms: float
+    count: int
+    band: float
+    floor: float = 1.0
+
+    @property
+    def beyond(self) -> float:
+        """Mean square of the standardised residuals beyond the band."""
+        return max(0.0, (self.rms**2 - self.band**2) * self.floor)
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A fit against the floor.
+
+    excess: chi squared beyond it; band: three standard deviations of a clean campaign's excess.
+    """
+
+    channels: dict[str, ChannelMisfit]
+    excess: float
+    band: float
+    count: int
+
+    @property
+    def per_number(self) -> float:
+        """Excess per compared number."""
+        return self.excess / max(1, self.count)
+
+    @property
+    def beyond(self) -> float:
+        """Excess that is surely not noise."""
+        return max(0.0, self.excess - self.band)
+
+    @property
+    def detail(self) -> float:
+        """Excess beyond the band that is a detail: none if a channel by itself is far off."""
+        is_local = any(item.beyond > LOCAL for item in self.channels.values())
+        return 0.0 if is_local else DETAIL * self.count
+
+    @property
+    def rms(self) -> float:
+        """Rms of all residuals over their expected scatter; 1 = explained."""
+        total = sum(item.rms**2 * item.count for item in self.channels.values())
+        return float(np.sqrt(total / max(1, self.count)))
+
+
+def misfit(problem: Problem, fit: FitResult) -> Misfit:
+    """Compare a fit's residuals with the floor, channel by channel and in all."""
+    parts: dict[str, list[tuple[Floats, float, float]]] = {}
+    for k, block in fit.blocks.items():
+        for name, part, floor, spread in problem.parts(k, block.residual):
+            parts.setdefault(name, []).append((part, floor, spread))
+    channels = {}
+    excess = variance = 0.0
+    for name, own in parts.items():
+        n = sum(len(part) for part, _floor, _spread in own)
+        total = sum(float(part @ part) for part, _floor, _spread in own)
+        floor = sum(item[1] for item in own)
+        share = float(np.hypot(own[0][2] / (floor / n) ** 0.5, np.sqrt(0.5 / n)))
+        channels[name] = ChannelMisfit(
+            float(np.sqrt(total / floor)), n, 1.0 + 3.0 * share, floor / n
+        )
+        excess += total - floor
+        variance += (2.0 * share * floor) ** 2
+    count = sum(channel.count for channel in channels.values())
+    return Misfit(channels, excess, 3.0 * float(np.sqrt(variance)), count)
+
+
+def strained(fit: FitResult) -> bool:
+    """Return whether a fit agrees with the data only because tolerances or scatter are implausibly wide.
+
+    Their sums of squares are held against chi squared (they have standard normal priors, and what
+    is estimated is drawn towards zero); each kind of scatter by itself.
+    """
+    scatter = np.sum(fit.stroke[list(fit.use)] ** 2, axis=0)
+    unit = float(np.sum(fit.shared[: fit.layout.healthy] ** 2))
+    return bool(
+        np.any(scatter > chdtri(len(fit.use), STRAIN_LEVEL))
+        or unit > chdtri(fit.layout.healthy, STRAIN_LEVEL)
+    )

@@ -1,0 +1,141 @@
+"""Channels of a body's record: their noise, and what forbids conclusions from them.
+
+Checked by: tests/unit/sil/inference/force/test_rig.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sil.campaign.campaign import Floats
+from sil.files.quantity import counted
+from sil.inference.campaign.noise import rounding_of
+
+MOVING_SHARE: Final = 0.25
+"""Share of a run at one position with forces above the median in motion: then it is no rest."""
+LONE, LONE_SHARE, MOVING_STILL = 5.0, 0.1, 0.3
+"""A single step is a jump if it is so much larger than any other and at least this share of the position's
+range, and if without it the body still moves over this share."""
+CONTINUED: Final = 0.25
+"""A sample that two before, or two after it run straight on to, within this share of its height, is no spike."""
+
+
+def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
+    """Return what forbids conclusions from channels [3, n], which begin at sample `first`."""
+    found = []
+    for name, values in zip(("position", "force", "pressure"), signals, strict=True):
+        if np.isnan(values[0]):
+            continue
+        flaws = {"spike": _spikes(values)}
+        if name == "position":
+            flaws["jump"] = _jumps(values)
+        elif name == "force" and not np.any(_moves(signals[0])[flaws["spike"]]):
+            # where the body turns, a drive may change its sign for a sample or two
+            flaws = {}
+        for what, rows in flaws.items():
+            if len(rows):
+                where = f"the first at sample {first + rows[0] + 1}"
+                found.append(f"{file}: {name}: {counted(len(rows), what)}, {where}")
+        if name == "position":
+            what, (start, held) = name, _held(values, signals[1])
+        else:
+            what, (start, held) = f"driving {name}", _stuck(values, signals[0])
+        if held:
+            found.append(
+                f"{file}: the {what} keeps one value over {held} samples in motion from "
+                f"sample {first + start + 1} on: stuck or saturated"
+            )
+    return found
+
+
+def _spikes(values: Floats) -> NDArray[np.int64]:
+    """Return where one or two samples are far from all of their neighbours in values [n]."""
+    span = float(np.diff(np.quantile(values, (0.01, 0.99)))[0])
+    far = np.zeros(len(values), dtype=bool)
+    for k in (1, 2):
+        out = np.abs(values[k:-k] - 0.5 * (values[: -2 * k] + values[2 * k :]))
+        far[k:-k] |= out > max(
+            15.0 * float(np.median(out)), 10.0 * np.quantile(out, 0.9), 0.05 * span
+        )
+    found = []
+    for row in np.flatnonzero(far[6:-6]) + 6:
+        around = np.concatenate([values[row - 6 : row - 1], values[row + 2 : row + 7]])
+        height = np.abs(values[row] - np.median(around))
+        if height > 2.0 * np.ptp(around) and not _continues(values, int(row), CONTINUED * height):
+            found.append(row)
+    rows = np.array(found, dtype=np.int64)
+    return rows[np.diff(rows, prepend=-2) > 1]
+
+
+def _continues(values: Floats, row: int, most: float) -> bool:
+    """Return whether the two values [n] before or after a sample run straight on to it, within `most`.
+
+    So they do where a motion ends and the force steps, in a record of few samples for a move.
+    """
+    lines = (2.0 * values[row + k] - values[row + 2 * k] for k in (-1, 1))
+    return any(abs(float(values[row] - line)) < most for line in lines)
+
+
+def _moves(position: Floats) -> NDArray[np.bool_]:
+    """Return where a position [n] changes over 13 samples by a tenth of the most it does."""
+    travels = np.abs(np.convolve(position, [1.0, *[0.0] * 11, -1.0], "same"))
+    return np.asarray(travels > 0.1 * np.quantile(travels, 0.99))
+
+
+def _jumps(position: Floats) -> NDArray[np.int64]:
+    """Return where a position [n] moves within one sample as far as it never does otherwise.
+
+    Where moves take few samples their steps are large, and only a step far larger than any other counts.
+    """
+    moves = np.diff(position)
+    steps, span = np.abs(moves), float(np.ptp(position))
+    usual = float(np.quantile(steps, 0.98)) + rounding_of(position)
+    rows = np.flatnonzero(steps > max(20.0 * usual, 0.02 * span))
+    k = int(np.argmax(steps))
+    others = np.delete(steps, np.arange(max(k - 1, 0), min(k + 2, len(steps))))
+    if not len(rows) and steps[k] > max(LONE * float(others.max(initial=0.0)), LONE_SHARE * span):
+        without = position - np.where(np.arange(len(position)) > k, moves[k], 0.0)
+        if np.ptp(without) > MOVING_STILL * span:
+            return np.array([k])
+    return rows
+
+
+def _runs(values: Floats) -> Iterator[slice]:
+    """Yield the unusually long runs of one value, the longest first."""
+    changes = np.flatnonzero(np.diff(values) != 0.0)
+    edges = np.concatenate([[0], changes + 1, [len(values)]])
+    lengths = np.diff(edges)
+    usual = float(np.quantile(lengths, 0.98))
+    for k in np.argsort(-lengths)[:20]:
+        if lengths[k] < max(20.0, 10.0 * usual):
+            break
+        yield slice(int(edges[k]), int(edges[k + 1]))
+
+
+def _stuck(values: Floats, position: Floats) -> tuple[int, int]:
+    """Return first sample and length of a run of one value in motion, (0, 0) if none is unusual."""
+    for run in _runs(values):
+        if np.ptp(position[run]) > 0.05 * np.ptp(position):
+            return run.start, run.stop - run.start
+    return 0, 0
+
+
+def _held(position: Floats, force: Floats) -> tuple[int, int]:
+    """Return first sample and length of a run of one position under forces that move the body.
+
+    (0, 0) if there is none. At the ends of the travel a stop can hold it.
+    """
+    low, high = np.min(position), np.max(position)
+    moving = _moves(position)
+    if not moving.any():
+        return 0, 0
+    strong = np.abs(force) > np.median(np.abs(force[moving]))
+    for run in _runs(position):
+        inside = 0.02 < (position[run.start] - low) / (high - low) < 0.98
+        if inside and np.mean(strong[run]) > MOVING_SHARE:
+            return run.start, run.stop - run.start
+    return 0, 0

@@ -1,0 +1,100 @@
+"""Which hypotheses about a body are acceptable, and which of them leads.
+
+Checked by: tests/unit/sil/inference/force/test_rig.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sil.inference.evidence import EXPLAINED
+from sil.inference.force.fit import SURE, Bank, Group, Tried, gain_in_errors
+from sil.inference.force.record import Recorded
+from sil.inference.force.terms import CONDITIONS
+from sil.inference.verdict import UNNAMED, Verdict, decide, weigh
+
+ALIKE = 2.0
+"""A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""
+LEAST_OF_EXCESS = 0.5
+"""A cause explains at least this share of the misfit that is there without it."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The hypotheses about a record: tried, the plain body first; judged, the best first; the verdict."""
+
+    bank: Bank
+    tried: Sequence[Tried]
+    judged: Sequence[Tried]
+    verdict: Verdict[Tried]
+
+    @property
+    def leader(self) -> Tried:
+        """The hypothesis accepted."""
+        return self.verdict.leader
+
+    @property
+    def closest(self) -> Tried:
+        """The hypothesis that leaves least, acceptable or not."""
+        return min(self.tried, key=lambda item: item.rms_n)
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise explains what the leader leaves."""
+        return self.leader.rms_n <= EXPLAINED * self.leader.noise_n
+
+
+def choose(record: Recorded) -> Choice:
+    """Fit all hypotheses to a record and decide between those that are physical."""
+    bank = Bank(record)
+    tried = [bank.attempt(())] if bank.is_constant() else bank.all_tried()
+    bank.calibrate(tried)
+    by_names = {frozenset(item.names): item for item in tried}
+    judged = [item for item in tried if acceptable(item, by_names)]
+    judged.sort(key=lambda item: item.score)
+    while True:
+        weigh(judged)
+        verdict = decide(judged, len(tried[0].squares))
+        if all(has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):
+            return Choice(bank, tried, judged, verdict)
+        judged.remove(verdict.leader)
+
+
+def has_one_value(bank: Bank, item: Tried, group: Group) -> bool:
+    """Return whether a cause has the same value in both halves of the samples, by each condition.
+
+    A term that only makes up for one that is missing has another value where that acts more. Halves
+    that determine the value poorly contradict nothing.
+    """
+    if group.id == UNNAMED:
+        return True
+    k = bank.own(item.groups).index(group.columns[0])
+    for condition in CONDITIONS.values():
+        values = condition(bank.record.raw)[bank.record.judged]
+        middle = np.median(values)
+        for rows in (values < middle, values >= middle):
+            own, deviations = bank.fitted_on(item.groups, rows)
+            ratio, error = own[k] / item.values[k], 2.0 * deviations[k] / abs(item.values[k])
+            if ratio + error < 1.0 / ALIKE or ratio - error > ALIKE:
+                return False
+    return True
+
+
+def acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
+    """Return whether a hypothesis is physical and gains by each of its causes."""
+    if not item.groups:
+        return True
+    if not item.physical():
+        return False
+    for name in item.names:
+        without = by_names[frozenset(item.names) - {name}]
+        if gain_in_errors(item, without) < SURE:
+            return False
+        if without.groups and without.rms_n <= EXPLAINED * without.noise_n:
+            return False  # nothing is missing: the cause corrects the form of the other one
+        if item.whole.excess > (1.0 - LEAST_OF_EXCESS) * max(without.whole.excess, 0.0):
+            return False
+    return True

@@ -1,0 +1,214 @@
+"""Driving forces that are late or early against the position: found, and taken off within a step.
+
+Checked by: tests/unit/sil/inference/force/test_delay.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sil.campaign.campaign import Floats
+from sil.inference.evidence import EXPLAINED
+from sil.inference.force.choice import Choice, choose
+from sil.inference.force.fit import SURE, Bank, Group
+from sil.inference.force.record import FEWEST_SAMPLES, FEWEST_STROKES, RADIUS, Recorded
+from sil.inference.verdict import CLAIM, CLAIM_PER_STROKE
+
+LONGEST_S = 0.5
+SHARE_OF_PART = 8
+"""A delay is sought up to one part in so many of the longest part of a file."""
+COARSE = 250
+"""Most lags each way that are tried before those between them."""
+MOST_SAMPLES = 5000
+ROUNDS = 2
+"""With the columns of the leader, which may be another one each time, a lag is sought at most so often."""
+LEAVES = 0.2
+"""A delay beyond a sampling step gains what a cause must gain, and leaves at most this share of the leader's
+excess over noise; in each half of the record, too, or it leaves no more than noise there."""
+LEAST = 0.2
+"""A delay within a sampling step takes at least this share of the excess of what leaves least."""
+NEAR = 0.1
+"""So near to half a step early, in steps, a force is held from sample to sample; a step ends so near."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """By how much something is late [s], and what is chosen without that."""
+
+    what: str
+    late_s: float
+    choice: Choice
+
+    def __str__(self) -> str:
+        """Return what is late or early, and by how much."""
+        size = f"{abs(self.late_s):.3g} s {'late' if self.late_s > 0.0 else 'early'}"
+        return f"the {self.what} is {size} against the position"
+
+    def is_within(self, step_s: float) -> bool:
+        """Return whether it is a delay within a sampling step [s]."""
+        return abs(self.late_s) <= (1.0 + NEAR) * step_s
+
+
+def without_delay(record: Recorded) -> tuple[Choice, str, str]:
+    """Return what is chosen, a finding about a delay, and a doubt about one that forbids conclusions.
+
+    A delay within a sampling step is taken off if noise does not explain what is left with it. With a
+    longer one nothing can be concluded, unless noise explains that and the same causes lead without
+    it. None is sought where noise explains what a plain body leaves.
+    """
+    choice = choose(record)
+    if choice.is_explained and not choice.leader.groups:
+        return choice, "", ""
+    found = [item for what, too in _ways(record) if (item := _delay(choice, what, too))]
+    if not found:
+        return choice, "", ""
+    delay = min(found, key=lambda item: item.choice.leader.over_noise)
+    if delay.is_within(record.step_s):
+        if choice.is_explained:
+            return choice, "", ""
+        why = "within a sampling step (a command that is held from sample to sample?)"
+        return delay.choice, f"{delay}, {why}: taken off", ""
+    remedy = f"correct the time base, or state delay_s = {delay.late_s:.4g} for it in [columns]"
+    if choice.is_explained and delay.choice.leader.ids == choice.leader.ids:
+        return choice, f"{delay}: {remedy}", ""
+    return choice, "", f"{delay}: {remedy}"
+
+
+def _ways(record: Recorded) -> list[tuple[str, bool]]:
+    """Return what can be late, and whether the pressures that add to the force are late with it."""
+    what, own = "driving force", record.recorded_n
+    if not (record.body.piston_area_m2 or record.body.area_2_m2):
+        return [(what, False)]
+    if np.ptp(own) == 0.0 or np.array_equal(own, record.raw.force_n):
+        return [(what, True)]
+    return [(what, False), (f"{what} with its pressures", True)]
+
+
+def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
+    """Return the delay that explains what the leader leaves, None if there is none.
+
+    The force is moved against all columns first, so that no cause is taken for a delay, then against
+    those of the leader, so that none makes up for a part of it, and last by less than a step.
+    """
+    record, step_s = choice.bank.record, choice.bank.record.step_s
+
+    def moved(late_s: float) -> Choice:
+        return choose(sooner(record, late_s, pressures)) if late_s else choice
+
+    steps = _lag(choice.bank, choice.bank.groups, pressures)
+    now = moved(steps * step_s)
+    for _ in range(ROUNDS):
+        more = _lag(now.bank, now.leader.groups, pressures)
+        if not more:
+            break
+        steps += more
+        now = moved(steps * step_s)
+    whole_s = steps * step_s
+    late_s = whole_s + _rest_s(now, pressures)
+    if abs(late_s + 0.5 * step_s) < NEAR * step_s:
+        late_s = -0.5 * step_s
+    if not late_s:
+        return None
+    found = Delay(what, late_s, now if late_s == whole_s else moved(late_s))
+    if found.is_within(step_s):
+        before, after = (item.closest.over_noise for item in (choice, found.choice))
+        return found if after**2 - 1.0 < (1.0 - LEAST) * (before**2 - 1.0) else None
+    (before, *parts), (after, *left) = _excess(choice), _excess(found.choice)
+    gain = 0.5 * choice.leader.count * (before - after)
+    least = max(CLAIM, CLAIM_PER_STROKE * len(choice.leader.squares))
+    most = [max(EXPLAINED**2 - 1.0, LEAVES * part) for part in parts]
+    explains = after <= LEAVES * before and bool(np.all(np.less_equal(left, most)))
+    return found if explains and gain >= least else None
+
+
+def _excess(choice: Choice) -> list[float]:
+    """Return the leader's excess, in squares of the noise: held out, and of both halves of the samples."""
+    bank, leader = choice.bank, choice.leader
+    halves = np.array_split(bank.target - bank.model_n(leader), 2)
+    squares = [float(np.mean(rest**2)) / leader.noise_n**2 for rest in halves]
+    return [item - 1.0 for item in (leader.over_noise**2, *squares)]
+
+
+def _lag(bank: Bank, groups: Sequence[Group], pressures: bool) -> int:
+    """Return by how many sampling steps the force is late against the columns of a hypothesis.
+
+    0 if too few samples can be moved.
+    """
+    record = bank.record
+    lengths = np.diff(np.append(record.starts, len(record.judged)))
+    most = min(int(LONGEST_S / record.step_s), int(lengths.max()) // SHARE_OF_PART)
+    rows = np.flatnonzero(record.judged)
+    inside = np.flatnonzero(_away(record, most)[rows])
+    blocks = np.unique(record.raw.block[rows[inside]])
+    if len(inside) < FEWEST_SAMPLES // 2 or len(blocks) < FEWEST_STROKES:
+        return 0
+    picked = inside[:: max(1, len(inside) // MOST_SAMPLES)]
+    base = np.linalg.qr(bank.columns[picked][:, bank.own(groups)])[0]
+    force = record.filtered(record.raw.force_n if pressures else record.recorded_n)
+    fixed = bank.target[picked] - force[rows[picked]]
+
+    def best(lags: NDArray[np.int64]) -> int:
+        moved = force[rows[picked][:, None] + lags]
+        target = moved + fixed[:, None]
+        left = np.sum(target**2, axis=0) - np.sum((base.T @ target) ** 2, axis=0)
+        return int(lags[np.argmin(left / (np.var(moved, axis=0) + 1e-300))])
+
+    coarse = max(1, most // COARSE)
+    near = best(np.unique(np.r_[-most : most + 1 : coarse, max(-8, -most) : min(8, most) + 1]))
+    return best(np.arange(max(-most, near - coarse), min(most, near + coarse) + 1))
+
+
+def _rest_s(choice: Choice, pressures: bool) -> float:
+    """Return by how much less than a step the force is late [s], 0 if that is not sure.
+
+    The delay is what the closest hypothesis leaves of it, which may be all that is left of the
+    leader's residual.
+    """
+    bank, record = choice.bank, choice.bank.record
+    base = np.linalg.qr(bank.columns[:, bank.own(choice.closest.groups)])[0]
+    rate = record.filtered(record.raw.force_n if pressures else record.recorded_n, 1)
+    both = (bank.target, rate[record.judged])
+    rest, moved = (values - base @ (base.T @ values) for values in both)
+    size = float(moved @ moved) + 1e-300
+    late_s = -float(rest @ moved) / size
+    error_s = float(np.sqrt(rest @ rest / size / choice.closest.count))
+    return late_s if SURE * error_s < abs(late_s) <= (1.0 + NEAR) * record.step_s else 0.0
+
+
+def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:
+    """Return a record with its recorded force taken so much earlier [s], less what then lacks at the ends.
+
+    pressures: whether those that add to the force are moved with it. What is held over a step h acts
+    as F(t - h/2) + h^2/24 F'', to the next order in h: its mean over the step.
+    """
+    from scipy.ndimage import correlate1d, shift
+
+    held = 1.0 / 24.0 if late_s == -0.5 * record.step_s else 0.0
+
+    def moved(values: Floats) -> Floats:
+        parts = np.split(values, record.starts[1:])
+        parts = [shift(p, -late_s / record.step_s, mode="nearest") for p in parts]
+        mean = (held, 1.0 - 2.0 * held, held)
+        return np.concatenate([correlate1d(p, mean, mode="nearest") for p in parts])
+
+    own, added, pressure = moved(record.recorded_n), record.raw.force_n - record.recorded_n, None
+    if record.raw.pressure_pa is not None:
+        pressure = moved(record.raw.pressure_pa) if pressures else record.raw.pressure_pa
+    raw = replace(
+        record.raw, force_n=own + (moved(added) if pressures else added), pressure_pa=pressure
+    )
+    judged = record.judged & _away(record, abs(late_s) / record.step_s)
+    return replace(record, raw=raw, recorded_n=own, judged=judged)
+
+
+def _away(record: Recorded, steps: float) -> NDArray[np.bool_]:
+    """Return which samples [n], moved by so many steps, the filter keeps from the ends of their part."""
+    reach = int(np.ceil(RADIUS * record.width)) + int(np.ceil(steps))
+    rows = np.arange(len(record.judged))
+    ends = np.append(record.starts[1:], len(rows))
+    part = np.searchsorted(record.starts, rows, side="right") - 1
+    return np.asarray((rows >= record.starts[part] + reach) & (rows < ends[part] - reach))

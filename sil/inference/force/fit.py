@@ -1,0 +1,399 @@
+"""Balances of forces: every hypothesis by linear least squares, groups of strokes held out in turn.
+
+D = M a + F_C sgn v + d v + F_0 + causes, all filtered alike. The columns of all hypotheses are
+reduced once, group by group, to their products; a hypothesis is then the solution of a few equations.
+Checked by: tests/unit/sil/inference/force/test_rig.py
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.effects.force_term import Floats, Motion
+from sil.inference.evidence import EXPLAINED, ChannelMisfit, Misfit
+from sil.inference.force.products import jackknife, products, solved
+from sil.inference.force.record import Recorded
+from sil.inference.force.terms import (
+    FLEXIBLE,
+    MORE,
+    SMOOTH,
+    Term,
+    centred,
+    difference,
+    hats,
+    named_terms,
+)
+from sil.inference.verdict import UNNAMED, Explanation
+
+VISCOUS = "viscous_n_s_m"
+BODY = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}
+POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
+ALIKE = 0.05
+"""A column is not offered if less than this share of it differs from the body's columns ..."""
+TOGETHER = 0.1
+"""... and not together with another if less than this share differs from both."""
+CLEAN = 10.0
+"""Least ratio of a fourth derivative to its noise, which is that of the acceleration too."""
+SURE = 3.0
+"""Least gain of a cause, in standard errors over the groups held out."""
+LEAST_NOISE = 1e-3
+"""A residual below this share of the driving force is explained: no model of a body is better."""
+STROKE_SCATTER = 0.05
+"""Coulomb friction of a healthy body may vary from stroke to stroke by this share."""
+MOST_TRIPLES = 5
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns that enter together: one of a term with a shape, several of a smooth function."""
+
+    name: str
+    id: str
+    cause_class: str
+    term: Term | None
+    shape: float
+    columns: tuple[int, ...]
+
+
+@dataclass
+class Tried(Explanation):
+    """A hypothesis, fitted.
+
+    values, deviations: [k] of the body's and the groups' columns; squares: held-out sum of squares
+    of each group of strokes [N^2]; noise_n: expected rms of its residual [N]; count: independent
+    samples.
+    """
+
+    groups: tuple[Group, ...]
+    values: Floats
+    deviations: Floats
+    squares: Floats
+    samples: int
+    body: tuple[str, ...]
+    noise_n: float = 1.0
+    expected_n: float = 1.0
+    count: float = 1.0
+    probability: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the hypothesis."""
+        return " + ".join(self.names) or "plain body"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its terms."""
+        return tuple(group.name for group in self.groups)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of its causes."""
+        return tuple(group.id for group in self.groups)
+
+    @property
+    def rms_n(self) -> float:
+        """Held-out rms [N]."""
+        return float(np.sqrt(self.squares.sum() / self.samples))
+
+    @property
+    def over_noise(self) -> float:
+        """Held-out rms over the noise of the balance; 1 = explained."""
+        return self.rms_n / self.noise_n
+
+    @property
+    def score(self) -> float:
+        """Held-out cost in log evidence."""
+        return 0.5 * self.count * self.over_noise**2
+
+    @cached_property
+    def whole(self) -> Misfit:
+        """Misfit against noise and the scatter between strokes."""
+        rms = self.over_noise
+        band = max(EXPLAINED, min(3.0, EXPLAINED * self.expected_n / self.noise_n))
+        channel = ChannelMisfit(rms, round(self.count), band)
+        excess = self.count * (rms**2 - 1.0)
+        return Misfit({"force_n": channel}, excess, self.count * (band**2 - 1.0), round(self.count))
+
+    def value(self, name: str) -> tuple[float, float]:
+        """Return value and deviation of a parameter of the body."""
+        k = self.body.index(name)
+        return float(self.values[k]), float(self.deviations[k])
+
+    def physical(self) -> bool:
+        """Return whether the causes have physical signs and exclude zero."""
+        k = len(self.body)
+        for group in self.groups:
+            value, deviation = float(self.values[k]), float(self.deviations[k])
+            k += len(group.columns)
+            if group.term is None:
+                continue
+            if abs(value) < 2.0 * deviation or (group.term.form.sign and value < 0.0):
+                return False
+            if group.term.form.parameter == VISCOUS and VISCOUS in self.body:  # a part of it
+                viscous, spread = self.value(VISCOUS)
+                if abs(value) > viscous + 2.0 * float(np.hypot(spread, deviation)):
+                    return False  # friction would drive the body one way
+        return True
+
+
+def gain_in_errors(item: Tried, other: Tried) -> float:
+    """Return how much less `item` leaves of held-out squares than `other`, in standard errors.
+
+    Of the squares themselves or of their shares, whichever is surer: where strokes differ much, a
+    gain in every one of them shows in the shares.
+    """
+    gains = other.squares - item.squares
+    shares = gains / (np.maximum(other.squares, item.squares) + 1e-300)
+    return max(
+        float(own.sum() / (np.std(own, ddof=1) * np.sqrt(len(own)) + 1e-300))
+        for own in (gains, shares)
+    )
+
+
+class Bank:
+    """All columns at the judged samples, and what least squares needs of them.
+
+    columns: [n, k] in N per unit, the body's first; target: [n] in N; groups: what may be added;
+    missing: why a term is not offered, by name.
+    """
+
+    def __init__(self, record: Recorded) -> None:
+        self.record = record
+        raw, rows = record.raw, record.judged
+        stated = record.body.mass_kg
+        target = record.filtered(raw.force_n)
+        if stated is not None:
+            target = target - stated * raw.acceleration_m_s2
+        self.target = target[rows]
+        self.missing: dict[str, str] = {}
+        self.groups: list[Group] = []
+        self._columns: list[Floats] = []
+        self.body = self._add_body(raw, stated is None)
+        base = np.column_stack(self._columns)
+        self._base = np.linalg.qr(base)[0]
+        for name, term in named_terms().items():
+            self._add_term(name, term, raw)
+        for term in MORE:
+            if term.id == UNNAMED:
+                self._add_term("pressure times position", term, raw)
+        snap = record.filtered(raw.position_m, 4)[rows]
+        if np.std(snap) > CLEAN * record.position_sd_m * record.gain_of(4):
+            self._add(FLEXIBLE, UNNAMED, "flexibility", None, snap)
+        self._reduce()
+
+    def is_constant(self) -> bool:
+        """Return whether the driving force, less the stated mass's, is constant: nothing to explain."""
+        return bool(np.ptp(self.target) <= 1e-6 * np.max(np.abs(self.target)))
+
+    def _add_body(self, raw: Motion, free_mass: bool) -> tuple[str, ...]:
+        record, rows = self.record, self.record.judged
+        # the mean sign over a sampling step in which the motion turns
+        half = 0.5 * record.step_s * np.abs(raw.acceleration_m_s2) + 1e-300
+        sign = np.clip(raw.speed_m_s / half, -1.0, 1.0)
+        table = {
+            "coulomb_n": record.filtered(sign)[rows],
+            VISCOUS: raw.speed_m_s[rows],
+            "offset_n": np.ones(np.count_nonzero(rows)),
+        }
+        if free_mass:
+            table["mass_kg"] = raw.acceleration_m_s2[rows]
+        noise = record.position_sd_m * record.gain_of(2)
+        if free_mass and np.std(table["mass_kg"]) < SURE * noise:
+            del table["mass_kg"]
+            self.missing["mass_kg"] = (
+                "not determined: the acceleration stays within its noise; faster strokes would determine it"
+            )
+        found: list[str] = []
+        for name, column in table.items():
+            before = [table[n] for n in found]
+            if found and difference(np.linalg.qr(np.column_stack(before))[0], column) < ALIKE:
+                self.missing[name] = {
+                    VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would determine it",
+                    "offset_n": "not determined: the body moves one way only; strokes both ways would separate it from friction",
+                }.get(
+                    name, "not determined: moves with the others; other speeds would separate them"
+                )
+            else:
+                found.append(name)
+        self._columns += [table[name] for name in found]
+        return tuple(found)
+
+    def _add_term(self, name: str, term: Term, raw: Motion) -> None:
+        if term.form.needs_pressure and raw.pressure_pa is None:
+            return
+        before = len(self._columns)
+        for shape in term.form.shapes(raw):
+            column = self.record.filtered(term.form.feature(raw, shape))[self.record.judged]
+            if difference(self._base, column) >= ALIKE:
+                if name == "stiffness_cubic":  # whose middle need not be that of the travel
+                    square = self.record.filtered(centred(raw) ** 2)[self.record.judged]
+                    column = np.column_stack([column, square])
+                self._add(name, term.id, term.cause_class, term, column, shape)
+        if len(self._columns) == before:
+            what = "pressure" if term.form.needs_pressure else "motion"
+            self.missing[name] = (
+                f"not judged: cannot be distinguished from the plain body here; strokes with other {what} would show it"
+            )
+
+    def _add(
+        self,
+        name: str,
+        id_: str,
+        cause_class: str,
+        term: Term | None,
+        table: Floats,
+        shape: float = 0.0,
+    ) -> None:
+        table = table.reshape(len(self.target), -1)
+        first = len(self._columns)
+        self._columns += list(table.T)
+        columns = tuple(range(first, len(self._columns)))
+        self.groups.append(Group(name, id_, cause_class, term, shape, columns))
+
+    def add_smooth(self) -> list[Group]:
+        """Add functions without a form; return their groups."""
+        raw, first = self.record.raw, len(self.groups)
+        for name, (cause_class, over, times) in SMOOTH.items():
+            values, factor = over(raw), None if times is None else times(raw)
+            if len(values) and (factor is None or len(factor)):
+                column = self.record.filtered(hats(values, factor))[self.record.judged]
+                self._add(name, UNNAMED, cause_class, None, column)
+        self._reduce()
+        return self.groups[first:]
+
+    def _reduce(self) -> None:
+        table = np.column_stack(self._columns)
+        self.scale = np.sqrt(np.mean(table**2, axis=0)) + 1e-300
+        self.columns = table / self.scale
+        beyond = self.columns - self._base @ (self._base.T @ self.columns)
+        beyond /= np.sqrt(np.sum(beyond**2, axis=0)) + 1e-300
+        self._correlation = beyond.T @ beyond
+        self._fold = self.record.raw.block[self.record.judged]
+        self._grams, self._sides, self._squares = products(self.columns, self.target, self._fold)
+        # against the motion, on average over each stroke
+        sign = np.sign(self.record.raw.speed_m_s[self.record.judged])
+        stroke = np.unique(self.record.stroke[self.record.judged], return_inverse=True)[1]
+        order = np.argsort(stroke, kind="stable")
+        self._sizes = np.bincount(stroke)
+        first = np.cumsum(self._sizes) - self._sizes
+        both = np.column_stack([self.columns, self.target]) * sign[:, None]
+        self._means = np.add.reduceat(both[order], first) / self._sizes[:, None]
+
+    def own(self, groups: Sequence[Group]) -> list[int]:
+        """Return the columns of a hypothesis, the body's first."""
+        return [*range(len(self.body)), *(c for group in groups for c in group.columns)]
+
+    def attempt(self, groups: Sequence[Group]) -> Tried:
+        """Fit a hypothesis with every group of strokes held out in turn; deviations by jackknife."""
+        own = self.own(groups)
+        values, without = solved(*self._of(own))
+        free = jackknife(without - values)
+        # mass and friction are not negative: what comes out so is left out
+        held = list(own)
+        while True:
+            signed = [k for k in held if k < len(self.body) and self.body[k] in POSITIVE]
+            worst = min(signed, key=lambda k: values[own.index(k)], default=-1)
+            if worst < 0 or values[own.index(worst)] >= 0.0:
+                break
+            held.remove(worst)
+            rows = [own.index(k) for k in held]
+            values, without = np.zeros(len(own)), np.zeros((len(without), len(own)))
+            values[rows], without[:, rows] = solved(*self._of(held))
+        grams, sides = self._of(own)
+        squares = (
+            self._squares
+            - 2.0 * np.sum(without * sides, axis=1)
+            + np.einsum("fi,fij,fj->f", without, grams, without)
+        )
+        scale = self.scale[own]
+        return Tried(
+            tuple(groups),
+            values / scale,
+            np.where(values == 0.0, free, jackknife(without - values)) / scale,
+            np.maximum(squares, 0.0),
+            len(self.target),
+            self.body,
+        )
+
+    def free_combination(self, weights: Floats, groups: Sequence[Group]) -> tuple[float, float]:
+        """Return a combination of the body's parameters without bounds, fitted with groups, and its deviation.
+
+        weights: [k], for each parameter of the body.
+        """
+        own = self.own(groups)
+        values, without = solved(*self._of(own))
+        shares = np.zeros(len(own))
+        shares[: len(weights)] = weights / self.scale[own][: len(weights)]
+        return float(shares @ values), float(jackknife((without - values) @ shares))
+
+    def fitted_on(self, groups: Sequence[Group], rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Return values and deviations [k] of a hypothesis, without bounds, on some judged samples [n].
+
+        Infinite deviations where the samples are of fewer than two groups of strokes.
+        """
+        own = self.own(groups)
+        if len(np.unique(self._fold[rows])) < 2:
+            return np.zeros(len(own)), np.full(len(own), np.inf)
+        grams, sides, _ = products(self.columns[rows][:, own], self.target[rows], self._fold[rows])
+        values, without = solved(grams, sides)
+        return values / self.scale[own], jackknife(without - values) / self.scale[own]
+
+    def _of(self, own: Sequence[int]) -> tuple[Floats, Floats]:
+        """Return the products of these columns with each other [f, k, k] and with the target [f, k]."""
+        return self._grams[:, own][:, :, own], self._sides[:, own]
+
+    def model_n(self, item: Tried) -> Floats:
+        """Return the force of a hypothesis [n] in N, without the stated mass's."""
+        own = self.own(item.groups)
+        return np.asarray(self.columns[:, own] @ (item.values * self.scale[own]))
+
+    def all_tried(self) -> list[Tried]:
+        """Return the plain body, every term with its best shape alone and in pairs, some triples."""
+        best = self._best((group,) for group in self.groups)
+        pairs = self._best(itertools.combinations(self.groups, 2))
+        leading = sorted(pairs, key=lambda item: item.rms_n)[:MOST_TRIPLES]
+        triples = self._best((*pair.groups, group) for pair in leading for group in self.groups)
+        return [self.attempt(()), *best, *pairs, *triples]
+
+    def _best(self, sets: Iterable[tuple[Group, ...]]) -> list[Tried]:
+        """Return the hypotheses of sets of groups, of each set of names the one that leaves least."""
+        found: dict[frozenset[str], Tried] = {}
+        for groups in sets:
+            names = frozenset(group.name for group in groups)
+            if len({group.id for group in groups}) < len(groups) or self._alike(groups):
+                continue
+            item = self.attempt(groups)
+            if names not in found or item.rms_n < found[names].rms_n:
+                found[names] = item
+        return list(found.values())
+
+    def _alike(self, groups: Sequence[Group]) -> bool:
+        """Return whether the data hardly separate single columns."""
+        pairs = itertools.combinations([group.columns[0] for group in groups], 2)
+        return any(abs(self._correlation[i, j]) > (1.0 - TOGETHER**2) ** 0.5 for i, j in pairs)
+
+    def calibrate(self, tried: Sequence[Tried]) -> None:
+        """State the noise: of the channels through the best balance, and the scatter of strokes."""
+        best = min(tried, key=lambda item: item.rms_n)
+        stated = self.record.body.mass_kg
+        mass = best.value("mass_kg")[0] if "mass_kg" in self.body else (stated or 0.0)
+        viscous = best.value(VISCOUS)[0] if VISCOUS in self.body else 0.0
+        noise = self.record.balance_sd_n(mass, viscous)
+        noise = max(noise, LEAST_NOISE * float(np.sqrt(np.mean(self.target**2))), 1e-300)
+        correlated = max(1.0, 2.0 * np.pi**0.5 * self.record.width / self.record.stride)
+        sizes = self._sizes
+        for item in tried:
+            own = self.own(item.groups)
+            means = self._means[:, -1] - self._means[:, own] @ (item.values * self.scale[own])
+            spread = float(np.average(means**2 - noise**2 * correlated / sizes, weights=sizes))
+            coulomb = item.value("coulomb_n")[0] if "coulomb_n" in self.body else 0.0
+            scatter = min(max(spread, 0.0) ** 0.5, STROKE_SCATTER * max(coulomb, 0.0))
+            item.noise_n = noise
+            item.expected_n = float(np.hypot(noise, scatter))
+            item.count = item.samples / correlated

@@ -1,0 +1,101 @@
+"""report.html of a rig known by force and position: what is wrong, the body, what was tried.
+
+Checked by: tests/unit/sil/inference/force/test_rig.py, tests/browser/
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sil.campaign.campaign import Floats
+from sil.files.atomic import write_atomically
+from sil.inference.force.fit import gain_in_errors
+from sil.inference.force.result import DETECTABILITY, ForceDiagnosis
+from sil.report.figure import Figure, Panel, Series, Stack
+from sil.report.picture import save
+from sil.report.plots import plots
+from sil.report.shell import Head, Picture, render
+
+DRAWN = 4000
+
+
+def _models(found: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
+    """Return label, force without inertia [n] in N and colour of the measurement and of each model."""
+    leader, bank = found.leader, found.bank
+    mass = leader.value("mass_kg")[0] if "mass_kg" in leader.body else 0.0
+    inertia = mass * found.record.raw.acceleration_m_s2[found.record.judged]
+    rows = [
+        ("measured, without inertia", bank.target - inertia, "measured"),
+        ("Coulomb, viscous, offset", bank.model_n(found.plain) - inertia, "before"),
+    ]
+    if leader.groups:
+        rows.append((f"with {leader.name}", bank.model_n(leader) - inertia, "after"))
+    return rows
+
+
+def _speed_figure(found: ForceDiagnosis) -> Figure:
+    speeds = found.record.raw.speed_m_s[found.record.judged]
+    order = np.argsort(speeds, kind="stable")
+    drawn = order[np.linspace(0, len(order) - 1, min(DRAWN, len(order))).astype(int)]
+    dots = [
+        Series(label, speeds[drawn], f[drawn], role, "dots") for label, f, role in _models(found)
+    ]
+    return Figure([Stack("speed, m/s", [Panel("Force", "N", dots, height=320)])])
+
+
+def _time_figure(found: ForceDiagnosis) -> Figure:
+    record = found.record
+    rows = np.flatnonzero(record.judged)
+    x = np.asarray(rows * record.step_s, dtype=np.float64)
+    lines = [
+        Series(label, x, force, role, dashed=role == "after")
+        for label, force, role in _models(found)
+    ]
+    panels = [Panel("Force, without inertia", "N", lines, height=220)]
+    signals: list[tuple[str, str, Floats]] = [
+        ("Residual, of what is claimed", "N", found.bank.target - found.bank.model_n(found.leader)),
+        ("Speed", "m/s", record.raw.speed_m_s[rows]),
+        ("Position", "m", record.raw.position_m[rows]),
+    ]
+    if record.raw.pressure_pa is not None:
+        signals.append(("Pressure", "Pa", record.raw.pressure_pa[rows]))
+    for title, unit, values in signals:
+        panels.append(Panel(title, unit, [Series("measured", x, values, "truth")], height=120))
+    return Figure([Stack("time, s", panels)])
+
+
+def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
+    """Write report.html and its figure."""
+    verdict = found.verdict
+    causes = [] if found.doubts else found.causes()
+    head = Head(
+        command="diagnose",
+        name=found.record.name,
+        verdict=verdict,
+        good=verdict == "consistent",
+        tiles=[
+            (f"{found.over_noise(found.plain):.3g}", "residual over noise, plain body"),
+            (f"{found.over_noise(found.leader):.3g}", "of what is claimed"),
+            (f"{found.error(found.leader):.2%}", "of the driving force"),
+            *((f"{cause.probability:.2f}", f"probability of {cause.id}") for cause in causes[:3]),
+        ],
+        again=f"opc4 diagnose {campaign}",
+    )
+    page = render(
+        "force.html",
+        head,
+        plots(_time_figure(found), repeated=False),
+        found=found,
+        detectability=DETECTABILITY,
+        causes=causes,
+        refused=found.refused(),
+        picture=Picture(
+            save(_speed_figure(found), folder, "force"),
+            "Force against speed",
+            "Driving force without inertia: measured, of the plain body, and with what is claimed.",
+        ),
+        rows=[(item, gain_in_errors(item, found.plain)) for item in found.judged[:12]],
+    )
+    write_atomically(folder / "report.html", page)

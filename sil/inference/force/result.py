@@ -1,0 +1,203 @@
+"""The result of a diagnosis on a rig known by force and position alone.
+
+Checked by: tests/unit/sil/inference/force/test_rig.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sil.inference.campaign.residuals import Gain
+from sil.inference.evidence import EXPLAINED
+from sil.inference.force.fit import BODY, POSITIVE, SURE, Bank, Tried, gain_in_errors
+from sil.inference.force.record import Recorded
+from sil.inference.report import Cause, Interval, diagnosis_json
+from sil.inference.verdict import DOUBTED, SUREST, UNNAMED, Verdict, by_cause
+
+ROBUST = 0.9
+"""Most that a cause is given next to a residual; descriptions of the residual must leave it as it is."""
+DESCRIBED = 0.2
+"""A function describes a residual if it removes this share of its squares."""
+
+DETECTABILITY = (
+    "with driving force and position alone: causes in the balance of forces; a constant force cannot be "
+    "distinguished from Coulomb friction that differs with direction, gauge pressure not from absolute pressure"
+)
+
+
+@dataclass(frozen=True)
+class ForceDiagnosis:
+    """What was found on a rig known by force and position alone.
+
+    judged: explanations that are physical, the best first; singles: each term alone; doubts: why
+    nothing can be concluded; rest: what the leader's residual depends on, and the share of its
+    squares; robust: claimed causes that descriptions of the residual do not change.
+    """
+
+    record: Recorded
+    bank: Bank
+    plain: Tried
+    verdict_: Verdict[Tried]
+    judged: Sequence[Tried]
+    singles: Sequence[Tried]
+    doubts: tuple[str, ...]
+    rest: tuple[str, str, float]
+    robust: tuple[str, ...]
+
+    @property
+    def leader(self) -> Tried:
+        """The hypothesis accepted: the plain body if no cause is."""
+        return self.verdict_.leader
+
+    def over_noise(self, item: Tried) -> float:
+        """Return the held-out rms over the noise of the balance; 1 = explained."""
+        return item.over_noise
+
+    def error(self, item: Tried) -> float:
+        """Return the relative force error: held-out rms over the rms of the driving force."""
+        return item.rms_n / (float(np.sqrt(np.mean(self.bank.target**2))) + 1e-300)
+
+    @property
+    def verdict(self) -> str:
+        """One of the verdicts of a diagnosis; a residual beyond the noise is never consistent."""
+        claimed = self.verdict_.claimed
+        if self.doubts:
+            return "cannot_tell"
+        if self.leader.whole.beyond == 0.0:
+            return self.verdict_.kind
+        if claimed and set(claimed) == set(self.robust):
+            return "ambiguous" if self.verdict_.rivals else "named"
+        return UNNAMED
+
+    def body(self) -> dict[str, Interval]:
+        """Return the body's parameters."""
+        found = {}
+        for name in self.leader.body:
+            unit = self.record.units.get(BODY[name], BODY[name])
+            item = Interval.normal(*self.leader.value(name), unit)
+            found[name] = replace(item, low=max(0.0, item.low)) if name in POSITIVE else item
+        return found
+
+    def causes(self) -> list[Cause]:
+        """Return the causes claimed and their rivals, and what no named cause explains."""
+        found = []
+        rest = self.leader.whole.beyond > 0.0
+        shares = by_cause(self.judged)
+        for name, stated in self.verdict_.probabilities.items():
+            if rest and name == UNNAMED and name not in self.leader.ids:
+                continue
+            item = self.leader
+            if name not in item.ids:
+                item = next(other for other in self.judged if name in other.ids)
+            probability = stated
+            if rest and name != UNNAMED:
+                probability = min(shares[name], ROBUST if name in self.robust else DOUBTED)
+            found.append(self._cause(name, item, probability))
+        if rest and UNNAMED not in self.leader.ids:
+            found.append(self._unexplained())
+        # what the verdict says comes first
+        last = UNNAMED if self.verdict in ("named", "ambiguous") else ""
+        return sorted(found, key=lambda cause: (cause.id == last, -cause.probability))
+
+    def _cause(self, name: str, item: Tried, probability: float) -> Cause:
+        group = item.groups[item.ids.index(name)]
+        k = len(item.body) + sum(len(g.columns) for g in item.groups[: item.groups.index(group)])
+        value, deviation = float(item.values[k]), float(item.deviations[k])
+        assert group.term is not None or name == UNNAMED
+        if group.term is None:
+            what, parameter, unit = f"a force with the {group.name}", "snap_kg_s2", "kg s^2"
+        else:
+            form = group.term.form
+            what, parameter = form.what, form.parameter
+            unit = self.record.units.get(form.unit, form.unit)
+        others = [
+            i for i in self.judged if name not in i.ids and set(i.ids) <= set(self.leader.ids)
+        ]
+        without = min(others, key=lambda i: i.score)
+        text = (
+            f"{what}: {value:.3g} {unit}; with it, the held-out residual falls from "
+            f"{self.over_noise(without):.3g} to {self.over_noise(item):.3g} times the noise, "
+            f"{gain_in_errors(item, without):.1f} standard errors; relative force error "
+            f"{self.error(without):.2%} before, {self.error(item):.2%} after"
+        )
+        if name not in self.leader.ids:
+            text = f"cannot be distinguished from {self.leader.name}: {text}"
+        return Cause(
+            name,
+            group.cause_class,
+            probability,
+            {parameter: Interval.normal(value, deviation, unit)},
+            text,
+        )
+
+    def _unexplained(self) -> Cause:
+        """Return the cause of a residual that neither noise nor a named cause explains."""
+        item = self.leader
+        counts = np.unique(self.record.raw.block[self.record.judged], return_counts=True)[1]
+        blocks = item.squares / counts
+        error = 1.96 * float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
+        mean = item.rms_n**2 - item.noise_n**2
+        low, value, high = (max(0.0, mean + e) ** 0.5 for e in (-error, 0.0, error))
+        on, cause_class, share = self.rest
+        where = f"{on} describes {share:.0%} of it"
+        if share < DESCRIBED:
+            where = (
+                "no function of speed, position or pressure describes it: dynamic (a flexible joint, a "
+                "time lag, vibration) or not repeated from stroke to stroke"
+            )
+        besides = f"besides {item.name}, " if self.verdict in ("named", "ambiguous") else ""
+        return Cause(
+            UNNAMED,
+            cause_class,
+            SUREST,
+            {"force_rms_n": Interval(value, low, high, self.record.units.get("N", "N"))},
+            f"{besides}a force of {value:.3g} N rms that no named cause explains: the held-out residual is "
+            f"{self.over_noise(item):.3g} times the noise of {item.noise_n:.3g} N "
+            f"({self.error(item):.1%} of the driving force); {where}",
+        )
+
+    def refused(self) -> dict[str, str]:
+        """Return why terms are not claimed, by name."""
+        found = dict(self.bank.missing)
+        for item in self.singles:
+            name = item.groups[0].name
+            if set(item.ids) & set(self.verdict_.probabilities):
+                continue
+            taken = 1.0 - item.rms_n**2 / self.plain.rms_n**2
+            text = f"removes {taken:.1%} of the held-out squares, {gain_in_errors(item, self.plain):.1f} standard errors"
+            if not item.physical():
+                text = f"{item.values[len(item.body)]:.3g} has a sign that is not physical, or includes zero"
+            found[name] = f"not claimed: {text}"
+        return found
+
+    def findings(self) -> list[str]:
+        """Return why nothing can be concluded, what is odd, and why causes are not claimed."""
+        refused = [f"{name}: {why}" for name, why in self.refused().items()]
+        return [*self.doubts, *self.record.findings, *refused]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object that diagnosis.json holds."""
+        gain = Gain(
+            (f"every group of {self.record.held_out} in turn",),
+            {"force_n": (self.plain.rms_n, self.leader.rms_n)},
+            self.over_noise(self.plain),
+            self.over_noise(self.leader),
+        )
+        return diagnosis_json(
+            self.record.name,
+            self.verdict,
+            [] if self.doubts else self.causes(),
+            self.findings(),
+            f"a cause gains at least 15 and 1.5 a group of strokes in log evidence on held-out strokes, "
+            f"{SURE:g} standard errors over them, and has a physical sign; explained: a residual of at "
+            f"most {EXPLAINED:g} times the noise; measured by python -m tests.bench bodies",
+            rivals=[list(group) for group in self.verdict_.rivals],
+            gain=gain.as_json(),
+            body={name: item.as_json() for name, item in self.body().items()},
+            noise_n=self.plain.noise_n,
+            detectability=DETECTABILITY,
+        )

@@ -1,0 +1,158 @@
+"""Other actuators, known by driving force and position: what acts on the body.
+
+The hypotheses of `force_fit` go through the verdict of all rigs. What no cause explains is described
+by functions without a form: of speed, position, pressure, direction. Whether the record is sound,
+signs and time base agree and the motion is informative is judged first.
+
+Source: inverse dynamic identification, e.g. Gautier, Janot, Vandanjon 2013.
+Checked by: tests/unit/sil/inference/force/test_rig.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sil.inference.force.choice import ALIKE
+from sil.inference.force.delay import without_delay
+from sil.inference.force.fit import (
+    SURE,
+    Bank,
+    Group,
+    Tried,
+    gain_in_errors,
+)
+from sil.inference.force.gas import enclosed_gas
+from sil.inference.force.record import Recorded, read_motion
+from sil.inference.force.result import DESCRIBED, ForceDiagnosis
+from sil.inference.force.terms import difference
+from sil.inference.verdict import UNNAMED
+
+LEAST_SHARE = 0.5
+"""Causes next to a residual explain at least this share of the plain body's misfit."""
+GIVING_BACK = ("position", "pressure_gain", "pressure times position")
+"""Forces that do no work on the whole when a motion returns."""
+CONTAINED = 0.5
+"""A function contains a cause if less than this share of the cause differs from it."""
+
+
+def diagnose_force(path: str | Path) -> ForceDiagnosis:
+    """Diagnose a campaign with rig = "force".
+
+    Raises InputError as `read_motion` does.
+    """
+    return diagnose_motion(read_motion(path))
+
+
+def diagnose_motion(record: Recorded) -> ForceDiagnosis:
+    """Diagnose a motion that was read."""
+    choice, taken_off, delay = without_delay(record)
+    found = (*record.findings, *filter(None, [taken_off]))
+    record = replace(choice.bank.record, findings=found)
+    bank, plain, leader = choice.bank, choice.tried[0], choice.leader
+    singles = [item for item in choice.tried if len(item.groups) == 1]
+    smooth = bank.add_smooth()
+    doubts = (*record.doubts, *_doubts(bank, plain, delay))
+    rest = ("", "", 0.0)
+    robust: tuple[str, ...] = ()
+    doubts = tuple(filter(None, (*doubts, enclosed_gas(bank, leader))))
+    if leader.whole.beyond > 0.0:
+        rest = _described(bank, leader, smooth)
+        if 1.0 - leader.whole.excess / plain.whole.excess >= LEAST_SHARE:
+            named = [group for group in leader.groups if group.id != UNNAMED]
+            robust = tuple(group.id for group in named if _is_robust(bank, leader, group))
+    return ForceDiagnosis(
+        record, bank, plain, choice.verdict, choice.judged, singles, doubts, rest, robust
+    )
+
+
+def _described(bank: Bank, leader: Tried, smooth: Sequence[Group]) -> tuple[str, str, float]:
+    """Return what the leader's residual depends on, its class, and the share of its squares."""
+    found = []
+    for group in smooth:
+        item = bank.attempt((*leader.groups, group))
+        share = 1.0 - item.rms_n**2 / leader.rms_n**2
+        found.append((group.name, group.cause_class, share))
+    name, cause_class, share = max(found, key=lambda entry: entry[2])
+    return name, cause_class if share >= DESCRIBED else "mechanics", share
+
+
+def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
+    """Return whether a cause comes out alike whatever else describes the residual.
+
+    Descriptions that contain the cause are put in its place: one of another class must not leave less
+    than those of its own class do.
+    """
+    k = bank.own(leader.groups).index(group.columns[0])
+    thin = slice(None, None, max(1, len(bank.target) // 5000))
+    own = bank.columns[thin, group.columns[0]]
+    others = tuple(item for item in leader.groups if item is not group)
+    own_class, foreign = [leader], list[Tried]()
+    for other in bank.groups:
+        if other.name in {g.name for g in leader.groups}:
+            continue
+        described = bank.columns[thin][:, bank.own([other])]
+        if difference(np.linalg.qr(described)[0], own) < CONTAINED:
+            alike = other.cause_class == group.cause_class
+            (own_class if alike else foreign).append(bank.attempt((*others, other)))
+            continue
+        item = bank.attempt((*leader.groups, other))
+        ratio = item.values[k] / leader.values[k]
+        if not 1.0 / ALIKE < ratio < ALIKE or abs(item.values[k]) < 2.0 * item.deviations[k]:
+            return False
+    best = min(own_class, key=lambda item: item.rms_n)
+    return all(gain_in_errors(item, best) < SURE for item in foreign)
+
+
+# --- what forbids a conclusion ----------------------------------------------------------------
+def _doubts(bank: Bank, plain: Tried, delay: str) -> list[str]:
+    """Return why nothing can be concluded from this record, none usually: a delay, and more."""
+    found = [delay] if delay else []
+    # forces that a motion to and fro gives back must not be taken for friction
+    giving_back = [g for g in bank.groups if g.name in GIVING_BACK]
+    now, without = (_friction(bank, groups) for groups in ([], giving_back))
+    if now and without and not delay:
+        found.append(now)
+    if "offset_n" not in bank.body:
+        found.append(f"offset_n: {bank.missing.pop('offset_n')}")
+    if "stiffness" in bank.missing and "mass_kg" in bank.body and plain.value("mass_kg")[0] == 0.0:
+        found.append(
+            "mass and stiffness move together: motion at another frequency would separate them"
+        )
+    rms = float(np.sqrt(np.mean(bank.target**2)))
+    if rms < SURE * plain.noise_n or bank.is_constant():
+        found.append(
+            "the driving force is constant, or hardly exceeds its noise: larger or faster strokes would help"
+        )
+    return found
+
+
+def _friction(bank: Bank, groups: Sequence[Group]) -> str:
+    """Return what is not physical about friction and mass without bounds; empty if nothing is.
+
+    A reversed sign reverses both: with a mass that is surely positive, other forces act.
+    """
+    speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
+    size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
+    (power, spread), (mass, mass_spread) = (
+        bank.free_combination(np.array([weights.get(name, 0.0) for name in bank.body]), groups)
+        for weights in (size, {"mass_kg": 1.0})
+    )
+    drives, negative = power < -2.0 * spread, mass < -2.0 * mass_spread
+    if not drives and not (negative and power < 2.0 * spread):
+        return ""
+    kg = bank.record.units.get("kg", "kg")
+    if drives and mass > 2.0 * mass_spread:
+        return (
+            f"friction would drive the body ({-power:.3g} W), with a mass of {mass:.3g} {kg}: other forces "
+            "act on it (pressure, gravity, a drive that is not recorded?), or the driving force is not all of it"
+        )
+    odd = [f"friction would drive the body ({-power:.3g} W)"] if drives else []
+    odd += [f"the mass would be {mass:.3g} {kg}"] if negative else []
+    return (
+        f"{' and '.join(odd)}: the sign of the driving force or of the position is reversed "
+        "(state scale = -1), or other forces act"
+    )

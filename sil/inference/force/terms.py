@@ -1,0 +1,151 @@
+"""What may act on a body besides mass, Coulomb and viscous friction and an offset.
+
+Causes of the catalogue that a balance of forces can show, physics that belongs to no catalogue of
+faults (springs, drag, errors of gauge or area), and functions without a form, which say where a
+residual sits.
+Checked by: tests/unit/sil/inference/force/test_rig.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from plant.effects import CATALOGUE
+from plant.effects.force_term import Floats, ForceTerm, Motion
+from sil.inference.verdict import UNNAMED
+
+NODES = 8
+
+
+@dataclass(frozen=True)
+class Term:
+    """A candidate: an id of the vocabulary, its class, and its form."""
+
+    id: str
+    cause_class: str
+    form: ForceTerm
+
+
+def centred(motion: Motion) -> Floats:
+    """Return the position from the middle of the travel [n] in m."""
+    low, high = np.quantile(motion.position_m, (0.01, 0.99))
+    return motion.position_m - 0.5 * float(low + high)
+
+
+def _pressure(motion: Motion) -> Floats:
+    return np.zeros(0) if motion.pressure_pa is None else motion.pressure_pa
+
+
+MORE = (
+    Term(
+        "stiffness",
+        "mechanics",
+        ForceTerm(
+            "stiffness_n_m",
+            "N/m",
+            "a spring, or enclosed gas, whose dead volume and exponent cannot be separated",
+            lambda m, _s: centred(m),
+        ),
+    ),
+    Term(
+        "stiffness_cubic",
+        "mechanics",
+        ForceTerm(
+            "cubic_n_m3",
+            "N/m^3",
+            "a spring whose rate changes with deflection",
+            lambda m, _s: centred(m) ** 3,
+            sign=0,
+        ),
+    ),
+    Term(
+        "quadratic_drag",
+        "friction",
+        ForceTerm(
+            "drag_n_s2_m2",
+            "N s^2/m^2",
+            "resistance grows with the square of speed",
+            lambda m, _s: m.speed_m_s * np.abs(m.speed_m_s),
+        ),
+    ),
+    Term(
+        "pressure_gain",
+        "gauge",
+        ForceTerm(
+            "area_m2",
+            "m^2",
+            "force in proportion to pressure: error of area or gauge",
+            lambda m, _s: _pressure(m),
+            sign=0,
+            needs_pressure=True,
+        ),
+    ),
+    Term(
+        UNNAMED,
+        "geometry",
+        ForceTerm(
+            "area_per_m_m",
+            "m",
+            "an effective area that changes with position",
+            lambda m, _s: _pressure(m) * centred(m),
+            sign=0,
+            needs_pressure=True,
+        ),
+    ),
+)
+
+
+def named_terms() -> dict[str, Term]:
+    """Return the candidates by name: effects of the catalogue and physics beyond it."""
+    found = {
+        name: Term(name, item.cause_class, item.force)
+        for name, item in CATALOGUE.items()
+        if item.force is not None
+    }
+    return found | {term.id: term for term in MORE if term.id != UNNAMED}
+
+
+FLEXIBLE = "fourth derivative of position"
+"""First sign of a joint that gives way: D = M a - (m^2 / k) x'''' of a mass m on a spring k."""
+
+
+def _direction(motion: Motion) -> Floats:
+    return np.sign(motion.speed_m_s)
+
+
+Over = Callable[[Motion], Floats]
+
+SMOOTH: dict[str, tuple[str, Over, Over | None]] = {
+    "speed": ("friction", lambda m: m.speed_m_s, None),
+    "position": ("mechanics", lambda m: m.position_m, None),
+    "position, against the motion": ("friction", lambda m: m.position_m, _direction),
+    "pressure": ("gauge", _pressure, None),
+    "pressure, against the motion": ("friction", _pressure, _direction),
+    "position, in proportion to pressure": ("geometry", lambda m: m.position_m, _pressure),
+}
+"""Functions without a form: class, what they depend on, what they are multiplied by."""
+
+
+CONDITIONS: dict[str, Over] = {
+    "speed": lambda m: np.abs(m.speed_m_s),
+    "acceleration": lambda m: np.abs(m.acceleration_m_s2),
+    "position": lambda m: m.position_m,
+    "distance from the middle": lambda m: np.abs(centred(m)),
+}
+"""A cause that acts has one value, whatever these are."""
+
+
+def hats(values: Floats, factor: Floats | None = None) -> Floats:
+    """Return hat functions over the quantiles of values [n], times a factor [n]: [n, NODES]."""
+    nodes = np.unique(np.quantile(values, np.linspace(0.005, 0.995, NODES)))
+    table = np.column_stack([np.interp(values, nodes, row) for row in np.eye(len(nodes))])
+    return table if factor is None else table * factor[:, None]
+
+
+def difference(base: Floats, column: Floats) -> float:
+    """Return the share of a column [n] that orthonormal columns [n, k] cannot make up."""
+    rest = column - base @ (base.T @ column)
+    return float(np.linalg.norm(rest) / (np.linalg.norm(column) + 1e-300))

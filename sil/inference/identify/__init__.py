@@ -1,0 +1,1 @@
+"""The thesis's own identifications, on the same fit."""

@@ -1,0 +1,90 @@
+"""What an identification returns: values with intervals, checks in words, a figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plant.parameters import Parameter, ParameterSet
+from sil.inference.evidence import EXPLAINED
+from sil.inference.model_file import model_file
+from sil.report.figure import Figure
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One identified parameter: value(s), 95 % interval where it is one number, how it was found."""
+
+    path: str
+    value: float | tuple[float, ...]
+    low: float | None
+    high: float | None
+    source: str
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """The value, or the values."""
+        return self.value if isinstance(self.value, tuple) else (self.value,)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The outcome of one identification.
+
+    over_noise: rms of the residual over the expected noise, 1 = explained; by_thesis: estimates by the
+    thesis's method. Where the model does not fit, no interval is stated: it would hold only if the
+    model were right.
+    """
+
+    what: str
+    estimates: tuple[Estimate, ...]
+    notes: tuple[str, ...]
+    figure: Figure
+    over_noise: float
+    by_thesis: tuple[Estimate, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.fits:
+            for name in ("estimates", "by_thesis"):
+                withheld = tuple(replace(e, low=None, high=None) for e in getattr(self, name))
+                object.__setattr__(self, name, withheld)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the expected noise explains the residual."""
+        return self.over_noise <= EXPLAINED
+
+    @property
+    def judgement(self) -> str:
+        """One sentence on the residual."""
+        size = f"residual {self.over_noise:.3g} times the expected noise"
+        if self.fits:
+            return f"the model fits: {size}"
+        return (
+            f"the model does not fit: {size} (at most {EXPLAINED:g} if noise explains it); the values "
+            "are its best fit, their intervals are withheld"
+        )
+
+
+def model_of(found: Identified, parameters: ParameterSet) -> str:
+    """Return the identified values as a model file that extends the set they were found with."""
+    sections: dict[str, dict[str, Parameter]] = {}
+    for item in found.estimates:
+        section, key = item.path.split(".", 1)
+        numbers = tuple(map(_rounded, item.numbers))
+        low = high = None
+        if item.low is not None and item.high is not None and np.isfinite(item.high - item.low):
+            low, high = _rounded(item.low), _rounded(item.high)
+        sections.setdefault(section, {})[key] = Parameter(
+            numbers if isinstance(item.value, tuple) else numbers[0],
+            parameters[item.path].unit,
+            item.source,
+            low,
+            high,
+        )
+    return model_file(found.judgement, parameters.name, sections)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.10g}")

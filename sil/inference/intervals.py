@@ -1,0 +1,106 @@
+"""Intervals of fitted parameters: curvature first, then a likelihood profile of the main ones.
+
+A profile fixes the parameter, fits everything else again and looks where the cost has risen by
+1.92 (95 %), times the factor by which the residuals exceed their floor.  It closes on both sides,
+stops at a physical bound, and says which other parameter ran into its own on the way.
+
+Source: Raue et al. 2009 (profile likelihood); pyPESTO's profiles for the idea of reporting bounds.
+Checked by: tests/unit/sil/inference/test_diagnose.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from plant.effects import EffectParameter
+from plant.errors import IntegrationError
+from sil.inference.arrow import FARTHEST_SD
+from sil.inference.candidate import scaled_of, value_of
+from sil.inference.evidence import Misfit
+from sil.inference.fit import FitResult, Fitter
+from sil.inference.report import Interval
+from sil.inference.workers import spread_out
+
+RISE = 1.92
+PROFILE_STEPS = (1.0, 2.0, 3.0)
+
+
+def intervals(
+    fitter: Fitter, fit: FitResult, misfit: Misfit, workers: int, profile: bool = True
+) -> dict[str, dict[str, Interval]]:
+    """Return the intervals of every effect parameter of a fit, by candidate name."""
+    inflation = max(1.0, misfit.rms**2)
+    deviation = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0) * inflation).tolist()
+    found: dict[str, dict[str, Interval]] = {}
+    jobs: list[tuple[str, EffectParameter, int, float]] = []
+    k = fit.layout.healthy
+    for candidate, own in zip(fit.candidates, fit.values, strict=True):
+        table = found[candidate.name] = {}
+        if profile and not candidate.is_term:
+            jobs += [(candidate.name, candidate.parameters[0], k, side) for side in (-1.0, 1.0)]
+        for parameter in candidate.parameters:
+            value = own[parameter.name]
+            centre, half = scaled_of(parameter, value), 1.96 * deviation[k]
+            low, high = (value_of(parameter, centre + step) for step in (-half, half))
+            table[parameter.name] = Interval(value, low, high, parameter.unit)
+            k += 1
+
+    def work(job: tuple[str, EffectParameter, int, float]) -> tuple[float, str]:
+        _name, _parameter, index, side = job
+        return _one_side(fitter, fit, index, deviation[index], side, inflation)
+
+    ends = spread_out(work, jobs, workers)
+    for (name, parameter, _index, _side), (moved, note) in zip(jobs, ends, strict=True):
+        old = found[name][parameter.name]
+        edge = value_of(parameter, scaled_of(parameter, old.value) + moved)
+        # the wider of profile and curvature: a profile may stop short in a curved valley
+        found[name][parameter.name] = replace(
+            old,
+            low=min(edge, old.low),
+            high=max(edge, old.high),
+            note="; ".join(text for text in (old.note, note) if text),
+        )
+    return found
+
+
+def _one_side(
+    fitter: Fitter, fit: FitResult, index: int, sd: float, side: float, inflation: float
+) -> tuple[float, str]:
+    """Distance (signed, in typical sizes) at which the profiled cost has risen by the threshold."""
+    strokes = fit.use[:: max(1, len(fit.use) // 12)]
+    wide = sd / (len(strokes) / len(fit.use)) ** 0.5
+
+    def fitted(start: np.ndarray, scatter: np.ndarray, iterations: int) -> FitResult:
+        return fitter.fit(
+            fit.candidates,
+            start=start,
+            scatter=scatter,
+            use=strokes,
+            iterations=iterations,
+            freeze=[index],
+        )
+
+    base = moved = fitted(fit.shared, fit.stroke, 3)
+    target = RISE * inflation
+    before = (0.0, 0.0)
+    note = ""
+    for step in PROFILE_STEPS:
+        there = moved.shared.copy()
+        there[index] = base.shared[index] + side * step * wide
+        try:
+            moved = fitted(there, moved.stroke, 2)
+        except IntegrationError:
+            return side * step * sd, "beyond, the motion cannot be continued"
+        rise = moved.cost - base.cost
+        stuck = np.flatnonzero(np.abs(moved.shared[: fit.layout.healthy]) >= FARTHEST_SD - 1e-6)
+        if len(stuck):
+            note = f"{fit.layout.names[stuck[0]]} at its bound"
+        if rise >= target:
+            # the root of the parabola through the last two points and the optimum
+            roots = [np.sqrt(max(before[1], 0.0)), np.sqrt(rise)]
+            edge = float(np.interp(np.sqrt(target), roots, [before[0], step]))
+            return side * edge * sd, note
+        before = (step, rise)
+    return side * PROFILE_STEPS[-1] * sd, note or "flat profile"

@@ -1,0 +1,173 @@
+"""Which further effects could explain what a fit leaves: a score test, linear in everything.
+
+At a fitted hypothesis, the change c that a candidate makes to the prediction is freed of what the
+fitted parameters could imitate; the gain in cost of the best amount of it is (c'r)^2 / 2 c'c.
+No further fit is needed: one simulated stroke each.
+
+Source: Rao's score test; see Cox and Hinkley, Theoretical Statistics.
+Checked by: tests/unit/sil/inference/test_fit.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import copysign, inf, sqrt
+from typing import Final
+
+import numpy as np
+
+from plant.errors import IntegrationError
+from sil.inference.arrow import FARTHEST_SD, arrow
+from sil.inference.candidate import Candidate
+from sil.inference.fit import FitResult, Fitter
+from sil.inference.problem import Floats, Problem
+from sil.inference.refused import shown
+
+ROUNDS: Final = 12
+"""Values that are tried for the smallest size that would be noticed."""
+CLOSE: Final = 0.1
+"""Share by which what it changes may differ from what would be noticed."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a candidate would gain on top of a fit, by the linear estimate.
+
+    gain: in cost (half chi squared); amount: in multiples of the start tried; start: that start;
+    square: squared standardised change by that start, freed of what the fit could imitate; free:
+    its share of the whole change.
+    """
+
+    candidate: Candidate
+    start: tuple[float, ...]
+    gain: float
+    amount: float
+    square: float
+    free: float
+
+    def smallest(self, gain: float) -> float | None:
+        """Return the value of the main parameter that would gain so much; None if out of its bounds."""
+        main = self.candidate.parameters[0]
+        if self.free <= 0.0:
+            return None
+        value = main.neutral + (2.0 * gain / self.square) ** 0.5 * (self.start[0] - main.neutral)
+        return value if main.low <= value <= main.high else None
+
+
+def change_of(
+    model: Problem, fit: FitResult, candidate: Candidate, start: tuple[float, ...]
+) -> dict[int, Floats]:
+    """Return by stroke what the candidate at `start` changes in the standardised prediction [n].
+
+    Raises IntegrationError if one of them cannot be simulated.
+    """
+    changes = {}
+    own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
+    for k, block in fit.blocks.items():
+        both, values = (*fit.candidates, candidate), (*fit.values, own)
+        try:
+            changes[k] = model.changed(k, fit.shared, fit.stroke[k], both, values) - block.base
+        except IntegrationError as error:
+            where = f"{shown((candidate,), (own,))}{model.name_of(k)}"
+            raise IntegrationError(f"{where}: {error}") from None
+    return changes
+
+
+class Screening:
+    """Scores of candidates on top of one fit."""
+
+    def __init__(self, fitter: Fitter, fit: FitResult) -> None:
+        self.fitter, self.fit = fitter, fit
+        normal, self._gradient, self._inner = arrow(fit.blocks, fit.stroke, fit.shared, fit.layout)
+        # what is at its bound and presses outward imitates nothing
+        outward = self._gradient * fit.shared > 0.0
+        healthy = np.arange(len(normal)) < fit.layout.healthy
+        moving = ~(healthy & outward & (np.abs(fit.shared) >= FARTHEST_SD - 1e-9))
+        self._solved = np.zeros_like(normal)
+        self._solved[np.ix_(moving, moving)] = np.linalg.pinv(normal[np.ix_(moving, moving)])
+
+    def score(self, candidate: Candidate, start: tuple[float, ...]) -> Score | None:
+        """Return what a candidate would gain by a start; None if that cannot be simulated.
+
+        A start that cannot be simulated is counted by the fitter's refusals.
+        """
+        fit, refusals = self.fit, self.fitter.refusals
+        try:
+            changes = change_of(self.fitter.model, fit, candidate, start)
+        except IntegrationError as error:
+            refusals.add((*fit.candidates, candidate), error)
+            return None
+        refusals.add((*fit.candidates, candidate), None)
+        slope = square = 0.0
+        cross = np.zeros_like(self._gradient)
+        for k, c in changes.items():
+            block, (inverse, hus, gs) = fit.blocks[k], self._inner[k]
+            held = (np.abs(fit.stroke[k]) >= FARTHEST_SD) & (gs == 0.0)
+            bc = np.where(held, 0.0, block.scatter.T @ c)
+            slope += float(c @ block.residual) - float(bc @ inverse @ gs)
+            square += float(c @ c) - float(bc @ inverse @ bc)
+            cross += block.shared.T @ c - hus @ (inverse @ bc)
+        slope -= float(cross @ self._solved @ self._gradient)
+        square -= float(cross @ self._solved @ cross)
+        free = square / max(1.0, float(sum(c @ c for c in changes.values())))
+        if free <= 1e-9:
+            return Score(candidate, start, 0.0, 0.0, 0.0, 0.0)
+        amount = slope / square
+        either = candidate.parameters[0].sign == 0
+        gain = 0.5 * slope * amount if amount > 0.0 or either else 0.0
+        return Score(candidate, start, gain, amount, square, free)
+
+    def smallest(self, score: Score, gain: float) -> float | None:
+        """Return the value of the main parameter that would gain so much; None if out of its bounds.
+
+        What a cause does is not linear in its size, so each value found is tried itself; where both
+        signs are physical, that of the less noticeable one is returned.
+        """
+        first, main = score.smallest(gain), score.candidate.parameters[0]
+        if first is None:
+            return None
+        by = first - main.neutral
+        sides = (by, -by) if main.sign == 0 else (by,)
+        found = [self._smallest(score, gain, side) for side in sides]
+        return None if None in found else max(found, key=lambda v: abs((v or 0.0) - main.neutral))
+
+    def _smallest(self, score: Score, gain: float, first: float) -> float | None:
+        """Return the value that would gain so much on one side, from a first difference to neutral."""
+        main, others = score.candidate.parameters[0], score.start[1:]
+        too_small, enough, by = 0.0, inf, abs(first)
+        value = main.neutral + first
+        for k in range(ROUNDS):
+            value = main.neutral + copysign(by, first)
+            if not main.low <= value <= main.high:
+                return None
+            found = self.score(score.candidate, (value, *others))
+            if found is None or found.square == 0.0:
+                return None
+            ratio = sqrt(2.0 * gain / found.square)
+            if abs(ratio - 1.0) <= CLOSE:
+                break
+            too_small, enough = (by, enough) if ratio > 1.0 else (too_small, by)
+            by *= ratio
+            if (k % 2 or not too_small < by < enough) and 0.0 < too_small < enough < inf:
+                by = sqrt(too_small * enough)
+        else:  # of two values that stay apart, the one that would be noticed
+            return main.neutral + copysign(enough, first) if enough < inf else None
+        return value
+
+
+def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
+    """Score of every candidate on top of a fit, by its best start, largest gain first."""
+    screening = Screening(fitter, fit)
+    found = []
+    for candidate in candidates:
+        best: Score | None = None
+        for start in candidate.starts[::2]:
+            score = screening.score(candidate, start)
+            if score is None or (best and score.free == 0.0):
+                continue
+            if best is None or score.gain > best.gain or best.free == 0.0:
+                best = score
+        if best is not None:
+            found.append(best)
+    return sorted(found, key=lambda score: -score.gain)

@@ -1,0 +1,358 @@
+"""Search over hypotheses: the healthy plant, every single cause, pairs of the promising ones.
+
+Everything here uses the training strokes alone; the held-out strokes judge afterwards.
+Checked by: tests/unit/sil/inference/test_search.py, test_diagnose.py
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from plant.effects.effect import Starts
+from plant.errors import IntegrationError
+from sil.inference.candidate import Candidate, compatible, scaled_of
+from sil.inference.evidence import misfit, strained
+from sil.inference.fit import FitResult, Fitter, Show, no_progress
+from sil.inference.problem import Block, Floats, Problem
+from sil.inference.screening import Score, screen
+from sil.inference.workers import Stages, fitted
+
+WORTH = 12.0
+"""Linear gain in cost below which a further effect is not even tried."""
+
+FIRST_ITERATIONS = 3
+LAST_ITERATIONS = 10
+MOST_ITERATIONS = 30
+MOST_SINGLES = 6
+MOST_PAIRS = 5
+FEWEST = 3
+HOPELESS = 6.0
+"""A first fit whose cost is larger than the best one's by this factor is not finished."""
+
+SAMPLE = 8
+NEAR = 1.0
+"""Excess of chi squared per number below which the healthy fit's linear scores can be trusted."""
+PARENTS = 3
+CROSSED = 7
+"""So many of the best singles are tried in pairs with each other."""
+OUTSTANDING = 50.0
+"""A single whose cost is smaller by this factor than any other's is part of every pair tried."""
+FAR = 3.0
+"""Cost per number above which a fit begins with the hypothesis' own parameters alone ..."""
+EFFECTS_FIRST = 3
+"""... for so many iterations."""
+CHILDREN = 3
+ALIKE = 4.0
+"""Log evidence below which the data cannot distinguish two causes."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One fit to run: candidates, where each begins, and the healthy part's beginning.
+
+    parent: the fit whose derivatives by tolerances serve, if it is near enough.
+    """
+
+    candidates: tuple[Candidate, ...]
+    starts: tuple[tuple[tuple[float, ...], ...], ...]
+    begin: tuple[Floats, Floats] | None
+    iterations: int
+    parent: str = ""
+
+
+class Fits(dict[str, FitResult]):
+    """Fits by name."""
+
+    def add(self, fit: FitResult) -> None:
+        """Store a fit unless a better one of the same hypothesis, in any order, is there."""
+        causes = {item.name for item in fit.candidates}
+        same = (name for name, f in self.items() if {c.name for c in f.candidates} == causes)
+        old = next(same, "")
+        if not old or fit.cost < self[old].cost:
+            self.pop(old, None)
+            self[fit.name] = fit
+
+    def ordered(self) -> list[FitResult]:
+        """All fits, best evidence first."""
+        return sorted(self.values(), key=lambda fit: fit.evidence())
+
+    def of_size(self, count: int) -> list[FitResult]:
+        """Fits of that many causes, best first."""
+        return [fit for fit in self.ordered() if len(fit.candidates) == count]
+
+
+class Search:
+    """Fits hypotheses to the training strokes of a campaign."""
+
+    def __init__(
+        self,
+        model: Problem,
+        candidates: Sequence[Candidate],
+        training: Sequence[int],
+        workers: int = 1,
+        progress: Show = no_progress,
+    ) -> None:
+        self.model = model
+        self.fitter = Fitter(model)
+        self.candidates = list(candidates)
+        self.training = tuple(training)
+        self.sample = _sample_of(model, self.training)
+        self.sample_size = sum(len(model.measured[k]) for k in self.sample)
+        self.workers = workers
+        self.stages = Stages(progress)
+        self.stages.until(5.0)
+        self.healthy: FitResult
+        self.fits = Fits()
+        self.first: list[FitResult] = []
+        self.known: dict[str, dict[int, Block]] = {}
+        self.varied: set[str] = set()
+        self.scores: list[Score] = []
+
+    def run(self) -> None:
+        """Fit the healthy model, singles and pairs."""
+        self.healthy = self.fitter.fit(use=self.training, iterations=8, fine=True)
+        self.stages.until(45.0)
+        self.singles()
+        self.stages.until(75.0)
+        self.pairs()
+        best = self.fits.ordered()[:1]
+        if best and misfit(self.model, best[0]).beyond > 0.0:
+            self.try_variants(best[0])
+
+    # --- fits ---------------------------------------------------------------------------------
+    def attempt(self, task: Task) -> FitResult | None:
+        """Run one fit from the best of its starts; None if none of them can be simulated."""
+        model = self.model
+        healthy = len(model.unit) + len(model.offsets)
+        none = (np.zeros(healthy), np.zeros((model.size, len(model.scatter))))
+        begins = [none] if task.begin is None else [task.begin, none]
+        parameters = [p for item in task.candidates for p in item.parameters]
+        best: tuple[float, Floats, Floats] | None = None
+        for start in task.starts:
+            values = itertools.chain.from_iterable(start)
+            scaled = [scaled_of(p, value) for p, value in zip(parameters, values, strict=True)]
+            for shared, scatter in begins:
+                trial = np.concatenate([shared[:healthy], scaled])
+                limit = np.inf if best is None else best[0]
+                cost = self.fitter.cost(trial, scatter, task.candidates, self.sample, limit)
+                if np.isfinite(cost) and (best is None or cost < best[0]):
+                    best = (cost, trial, scatter)
+        if best is None:
+            return None
+        first = EFFECTS_FIRST if best[0] > FAR * self.sample_size else 0
+        try:
+            return self.fitter.fit(
+                task.candidates,
+                start=best[1],
+                scatter=best[2],
+                use=self.sample,
+                iterations=task.iterations + first,
+                effects_first=first,
+                reuse=self.known.get(task.parent, {}),
+            ).light()
+        except IntegrationError as error:
+            self.fitter.refusals.lose(task.candidates, error)
+            return None
+
+    def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
+        """Continue a fit from its optimum; strokes it did not use get their scatter first."""
+        scatter = fit.stroke.copy()
+        unused = sorted(set(self.training) - set(fit.use))
+        if unused:
+            everything = range(len(fit.shared))
+            first = self.fitter.fit(
+                fit.candidates, start=fit.shared, use=unused, iterations=3, freeze=everything
+            )
+            scatter[unused] = first.stroke[unused]
+        return self.fitter.fit(
+            fit.candidates,
+            start=fit.shared,
+            scatter=scatter,
+            use=self.training,
+            iterations=iterations,
+            fine=iterations > 0,
+        )
+
+    def run_tasks(self, tasks: Sequence[Task]) -> list[FitResult]:
+        """First fits, side by side, on the sample of the training strokes; best first."""
+        done = Fits()
+        for fit in fitted(self.fitter, self.attempt, tasks, self.workers, self.stages):
+            if fit is not None:
+                done.add(fit)
+        return done.ordered()
+
+    def polish(self, fits: Sequence[FitResult], again: bool = True) -> None:
+        """Fit all training strokes from the first fits; store the better ones."""
+        most = LAST_ITERATIONS if again else MOST_ITERATIONS
+
+        def work(fit: FitResult) -> FitResult | None:
+            try:
+                return self.refine(fit, most).light()
+            except IntegrationError as error:
+                self.fitter.refusals.lose(fit.candidates, error)
+                return None
+
+        for fit in fitted(self.fitter, work, fits, self.workers):
+            if fit is not None:
+                self.fits.add(fit)
+        best = self.fits.ordered()[:1]
+        if again and best and best[0].iterations >= LAST_ITERATIONS:
+            self.polish(best, False)  # a long valley
+
+    # --- stages -------------------------------------------------------------------------------
+    def singles(self) -> None:
+        """Fit every cause alone: all of them if the healthy fit is far off, else those that score.
+
+        Linear scores say nothing either of what wide scatter imitates by moving edges in time; and a
+        tolerance at its bound is in the way of the cause that does the same: then that begins anew.
+        """
+        healthy = self.healthy
+        chosen: list[Candidate] = self.candidates
+        is_strained = strained(healthy)
+        if misfit(self.model, healthy).per_number < NEAR and not is_strained:
+            self.known[healthy.name] = healthy.blocks
+            self.scores = screen(self.fitter, healthy, self.candidates)
+            chosen = [s.candidate for s in self.scores if s.gain > WORTH][: 2 * MOST_SINGLES]
+        begin = (healthy.shared, healthy.stroke)
+        tasks = []
+        for item in chosen:
+            starts = tuple((start,) for start in item.starts)
+            tasks.append(Task((item,), starts, begin, FIRST_ITERATIONS, healthy.name))
+            if item.effect.rugged or (item.effect.tolerance and is_strained):
+                tasks += [Task((item,), (start,), None, FIRST_ITERATIONS) for start in starts]
+        self.first = self.run_tasks(tasks)
+        self.polish(_promising(self.first, MOST_SINGLES))
+
+    def pairs(self) -> None:
+        """Try a second cause on top of the best singles, by score; then finish the best pairs."""
+        tasks: list[Task] = []
+        for parent, scores in fitted(self.fitter, self.scored, self.parents(), self.workers):
+            self.known[parent.name] = parent.blocks
+            tasks += [self.pair_task(parent, score) for score in scores[:CHILDREN]]
+        unique: dict[frozenset[str], Task] = {}
+        for task in tasks + self.crossed():
+            unique.setdefault(frozenset(item.name for item in task.candidates), task)
+        self.polish(_promising(self.run_tasks(list(unique.values())), MOST_PAIRS))
+
+    def crossed(self) -> list[Task]:
+        """Pairs of the best singles: while much is unexplained, linear scores mislead."""
+        best = self.fits.of_size(1)
+        if not best or misfit(self.model, best[0]).beyond == 0.0:
+            return []
+        singles = _one_of_each(self.first)
+        outstanding = len(singles) > 1 and OUTSTANDING * singles[0].cost < singles[1].cost
+        tasks = []
+        for one, two in itertools.combinations(singles[:CROSSED], 2):
+            other = two.candidates[0]
+            if (outstanding and one is not singles[0]) or not compatible(other, one.candidates):
+                continue
+            starts = [(*one.point, *two.point)]
+            starts += [(*one.point, start) for start in other.starts[:4]]
+            both = (*one.candidates, other)
+            tasks.append(Task(both, tuple(starts), (one.shared, one.stroke), FIRST_ITERATIONS))
+        return tasks
+
+    def try_variants(self, best: FitResult) -> bool:
+        """Try a hypothesis with each of its causes in its other variants; True if any was tried.
+
+        What is added to a large cause is easily mistaken for another one of its class: the causes of
+        a pair are replaced by those too.
+        """
+        if best.name in self.varied:
+            return False
+        self.varied.add(best.name)
+        begin = (best.shared, best.stroke)
+        tasks = []
+        for index, (member, own) in enumerate(zip(best.candidates, best.values, strict=True)):
+            before, after = best.candidates[:index], best.candidates[index + 1 :]
+            for other in self.candidates:
+                if other.name == member.name or not compatible(other, (*before, *after)):
+                    continue
+                starts: Starts = ()
+                if other.id == member.id:
+                    starts = (tuple(own.get(p.name, p.neutral) for p in other.parameters),)
+                elif len(best.candidates) > 1 and other.cause_class == member.cause_class:
+                    starts = other.starts
+                points = tuple(
+                    (*best.point[:index], start, *best.point[index + 1 :]) for start in starts
+                )
+                if points:
+                    tasks.append(Task((*before, other, *after), points, begin, FIRST_ITERATIONS))
+        self.polish(self.run_tasks(tasks)[:1])
+        return bool(tasks)
+
+    def try_alike(self, leader: FitResult, gain: float) -> bool:
+        """Fit what the leader's covariance cannot distinguish from its one cause; True if there is any.
+
+        gain: of that cause, in log evidence; another one of which the leader imitates so much that
+        less than ALIKE of it would remain is a rival, if it fits.
+        """
+        before = {score.candidate.name: score.free for score in self.scores}
+        if len(leader.candidates) != 1 or not before:
+            return False
+        others = [c for c in self.candidates if compatible(c, leader.candidates)]
+        tasks = [
+            Task((score.candidate,), tuple((start,) for start in score.candidate.starts), None, 6)
+            for score in screen(self.fitter, self.refine(leader, 0), others)
+            if gain * score.free < ALIKE * before.get(score.candidate.name, 0.0)
+            and score.candidate.name not in self.fits
+        ]
+        self.polish(self.run_tasks(tasks))
+        return bool(tasks)
+
+    def parents(self) -> list[FitResult]:
+        """Singles that a second cause may be added to: the best ones, one for each identifier."""
+        return _one_of_each(self.fits.of_size(1))[:PARENTS]
+
+    def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:
+        """Scores of every compatible candidate on top of a single."""
+        full = self.refine(parent, 0)
+        others = [c for c in self.candidates if compatible(c, parent.candidates)]
+        return full, [s for s in screen(self.fitter, full, others) if s.gain > WORTH]
+
+    def pair_task(self, parent: FitResult, score: Score) -> Task:
+        """Return the fit of a pair, beginning at the single's optimum and the score's amount."""
+        starts = [(*parent.point, score.start)]
+        first = score.candidate.parameters[0]
+        value = first.neutral + score.amount * (score.start[0] - first.neutral)
+        if first.low <= value <= first.high:
+            starts.append((*parent.point, (value, *score.start[1:])))
+        return Task(
+            (*parent.candidates, score.candidate),
+            tuple(starts),
+            (parent.shared, parent.stroke),
+            FIRST_ITERATIONS + 1,
+            parent.name,
+        )
+
+
+def _one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
+    """Return the first fit of each identifier."""
+    found: dict[str, FitResult] = {}
+    for fit in singles:
+        found.setdefault(fit.candidates[0].id, fit)
+    return list(found.values())
+
+
+def _promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
+    """Fits worth finishing: the FEWEST best, and others whose cost is not hopelessly larger."""
+    if not fits:
+        return []
+    limit = HOPELESS * fits[0].cost
+    return [fit for k, fit in enumerate(fits[:most]) if k < FEWEST or fit.cost < limit]
+
+
+def _sample_of(model: Problem, training: Sequence[int]) -> tuple[int, ...]:
+    """Return a few training strokes for first fits: each stratum in turn, at most SAMPLE."""
+    ranks: Counter[Hashable] = Counter()
+    ranked = []
+    for k in training:
+        key = model.stratum(k)
+        ranked.append((ranks[key], k))
+        ranks[key] += 1
+    return tuple(sorted(k for _rank, k in sorted(ranked)[:SAMPLE]))

@@ -1,0 +1,384 @@
+"""From fitted hypotheses to a verdict: which causes are claimed, how surely, and against what.
+
+A hypothesis is scored by its evidence on the training strokes (Laplace) plus its cost on the
+held-out ones, where only the strokes' own scatter may be fitted.  As long as the best of them
+leaves a misfit that noise does not explain, score differences overstate what is known: then the
+model error has an unknown size, and marginalising over that turns the exponential into a power,
+
+    p_i ~ prior_i (1 + 2 (score_i - floor) / nu)^(-nu / 2),
+
+Student's form with nu effective observations; it is exp(-score) again once the misfit is nil.
+
+A cause is claimed only if its sign is physical, its interval excludes nothing-there, leaving it out
+costs more than chance would (on training and on held-out strokes alike), and no look-alike does as
+well; look-alikes that do are named as rivals.
+Checked by: tests/unit/sil/inference/test_verdict.py
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from plant.effects.term import term
+from plant.errors import IntegrationError
+from sil.inference.candidate import Candidate
+from sil.inference.evidence import EXPLAINED, Misfit, misfit
+from sil.inference.fit import FitResult, Fitter
+from sil.inference.problem import Floats
+from sil.inference.workers import fitted
+
+UNNAMED = term.id
+"""The cause of a non-parametric term, and the verdict that one acts."""
+
+CLAIM = 15.0
+"""Least gain in score (log evidence) of a cause; see `false_alarm` for how it was chosen."""
+
+CLAIM_PER_STROKE = 1.5
+"""... and least gain per stroke: an effect that changes next to nothing is not claimed."""
+
+RIVAL_SHARE = 0.05
+"""A cause at least this probable is, with the leading one, is a rival."""
+
+CONTEST = 0.02
+"""An explanation without a cause replaces it only if it is at least this probable, against the likeliest."""
+
+CLEAR = 0.7
+"""Below this probability of the leading cause the verdict is ambiguous."""
+
+SUREST = 0.98
+"""No cause is given more: the catalogue itself may be wrong."""
+
+SECOND_SHARE = 0.3
+"""A further cause must gain at least this share of what the whole hypothesis still leaves."""
+
+SLIGHT = 0.1
+"""A further cause below this many typical sizes is doubted while something is unexplained ..."""
+
+SLIGHT_SHARE = 0.02
+"""... and not claimed at all if it gains less than this share of what the healthy model leaves: it
+corrects the form of the other one's extension."""
+
+EXACT = 0.005
+"""Share of what a cause does to which its form is trusted: a further one that gains less than that error
+would leave corrects the form of the first."""
+
+LEFT = (0.005, 0.05)
+"""Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
+the second on it is likelier that none of the named acts."""
+
+DOUBTED = 0.45
+"""Most that a named cause is given then."""
+
+LEAST_SHARE = 0.5
+"""An explanation that leaves more than this share of the healthy model's misfit, not explained by
+noise, is none."""
+
+EFFECTIVE = 10.0
+"""Effective observations nu of the model error."""
+
+PAIR_PRIOR = 0.1
+"""Prior odds of two causes at once against one."""
+
+
+class Explanation(Protocol):
+    """What a verdict needs of a hypothesis that all strokes have judged.
+
+    score: cost, lower is better, in log evidence; held_cost: the part on held-out strokes (None: all
+    of it is); whole: the fit against its floor.
+    """
+
+    probability: float
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of its causes."""
+
+    @property
+    def score(self) -> float:
+        """Cost in log evidence."""
+
+    @property
+    def held_cost(self) -> float | None:
+        """Cost on held-out strokes alone."""
+        return None
+
+    @property
+    def whole(self) -> Misfit:
+        """Misfit over all strokes."""
+
+    @property
+    def slight(self) -> tuple[str, ...]:
+        """Causes that are tiny and not alone."""
+        return ()
+
+
+E = TypeVar("E", bound=Explanation)
+
+
+@dataclass
+class Judged:
+    """A hypothesis judged by all strokes.
+
+    training, held: fits; both: the training one with the held-out strokes; score: evidence/2 on the
+    training plus cost on the held-out strokes; misfit: over the held-out strokes (over the training
+    ones if none are held out); whole: over all.
+    """
+
+    training: FitResult
+    held: FitResult | None
+    both: FitResult
+    score: float
+    misfit: Misfit
+    whole: Misfit
+    probability: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the hypothesis."""
+        return self.training.name
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of its causes."""
+        return tuple(item.id for item in self.training.candidates)
+
+    @property
+    def held_cost(self) -> float | None:
+        """Cost on held-out strokes alone."""
+        return None if self.held is None else 0.5 * self.held.chi2
+
+    @property
+    def slight(self) -> tuple[str, ...]:
+        """Causes that are tiny and not alone."""
+        return slight_causes(self)
+
+
+Held = dict[str, tuple[FitResult, FitResult | None]]
+"""Fits by name, and what the held-out strokes made of them: None if they cannot be simulated."""
+
+
+def judge(
+    fitter: Fitter,
+    fits: Sequence[FitResult],
+    held_out: Sequence[int],
+    workers: int = 1,
+    known: Held | None = None,
+) -> list[Judged]:
+    """Held-out evaluation of fits, best score first.
+
+    known: earlier evaluations, which are not repeated; new ones are added.
+    """
+    known = {} if known is None else known
+    model = fitter.model
+    # offsets of gauges that no training stroke has: held-out ones determine them
+    training = set(range(model.size)) - set(held_out)
+    trained = {name for k in training for name in model.offsets_in(k)}
+    names = enumerate(model.offsets, start=len(model.unit))
+    free = {k for k, name in names if name not in trained}
+
+    def work(fit: FitResult) -> FitResult | None:
+        frozen = [k for k in range(len(fit.shared)) if k not in free]
+        try:
+            return fitter.fit(
+                fit.candidates, start=fit.shared, use=held_out, iterations=4, freeze=frozen
+            ).light()
+        except IntegrationError as error:
+            fitter.refusals.lose(fit.candidates, error)
+            return None
+
+    found = []
+    new = [f for f in fits if held_out and (f.name not in known or known[f.name][0] is not f)]
+    for fit, answer in zip(new, fitted(fitter, work, new, workers), strict=True):
+        known[fit.name] = fit, answer
+    for fit in fits:
+        held = known[fit.name][1] if held_out else None
+        if held_out and held is None:
+            continue
+        score, both = 0.5 * fit.evidence(), fit
+        score -= sum(math.log(item.prior) for item in fit.candidates)
+        if held is not None:
+            # the priors of the shared parameters are counted once, with the training strokes
+            score += 0.5 * held.chi2
+            blocks = {**fit.blocks, **held.blocks}
+            stroke = fit.stroke.copy()
+            stroke[list(held_out)] = held.stroke[list(held_out)]
+            both = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
+        own, whole = misfit(model, held or fit), misfit(model, both)
+        found.append(Judged(fit, held, both, score, own, whole))
+    found.sort(key=lambda item: item.score)
+    weigh(found)
+    return found
+
+
+def weigh(judged: Sequence[Explanation]) -> None:
+    """Fill in the probabilities of competing hypotheses."""
+    if not judged:
+        return
+    leader = min(judged, key=lambda item: item.score)
+    error = 0.5 * leader.whole.beyond
+    nu = EFFECTIVE
+    logs = np.array(
+        [
+            np.log(PAIR_PRIOR if len(item.ids) > 1 else 1.0)
+            - 0.5 * nu * np.log1p(2.0 * (item.score - leader.score + error) / nu)
+            for item in judged
+        ]
+    )
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    for item, weight in zip(judged, weights, strict=True):
+        item.probability = float(weight)
+
+
+def by_cause(judged: Sequence[Explanation]) -> dict[str, float]:
+    """Probability of each cause: of all hypotheses it takes part in."""
+    total: dict[str, float] = {}
+    for item in judged:
+        for name in item.ids:
+            total[name] = total.get(name, 0.0) + item.probability
+    return dict(sorted(total.items(), key=lambda entry: -entry[1]))
+
+
+@dataclass
+class Verdict(Generic[E]):
+    """What is concluded, before figures are put to it.
+
+    leader: the accepted hypothesis; claimed: its causes that are claimed; probabilities: of
+    every cause at least RIVAL_SHARE probable; gains: score lost by leaving a claimed cause out.
+    """
+
+    kind: str
+    leader: E
+    healthy: E
+    claimed: tuple[str, ...] = ()
+    probabilities: dict[str, float] = field(default_factory=dict)
+    gains: dict[str, float] = field(default_factory=dict)
+    rivals: tuple[tuple[str, ...], ...] = ()
+
+
+def _sizes_of(fit: FitResult, of: Floats) -> Iterator[tuple[Candidate, dict[str, float], float]]:
+    """Yield each named cause of a fit, its values, and the size of its main parameter in `of` [own]."""
+    k = 0
+    for candidate, own in zip(fit.candidates, fit.values, strict=True):
+        count = len(candidate.parameters)
+        main = count if candidate.effect.sized_by == "any" else 1
+        if not candidate.is_term:
+            yield candidate, own, float(np.abs(of[k : k + main]).max())
+        k += count
+
+
+def acceptable(item: Judged) -> bool:
+    """Return whether a hypothesis' main parameters have physical signs and exclude neutral."""
+    fit = item.training
+    own = fit.layout.effect_slice
+    deviation = np.diag(fit.covariance)[own] ** 0.5
+    sizes = _sizes_of(fit, fit.scaled / deviation)
+    return all(candidate.physical(values) and size >= 2.0 for candidate, values, size in sizes)
+
+
+def _gains_of(leader: E, judged: Sequence[E], name: str) -> tuple[float, float]:
+    """Return what leaving a cause out loses: score, and cost on the held-out strokes alone."""
+    rest = set(leader.ids) - {name}
+    without = min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
+    gain = without.score - leader.score
+    if leader.held_cost is None or without.held_cost is None:
+        return gain, gain
+    return gain, without.held_cost - leader.held_cost
+
+
+def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
+    """Return the verdict on judged hypotheses (the healthy one among them; weighed already)."""
+    healthy = next(item for item in judged if not item.ids)
+    least = max(CLAIM, CLAIM_PER_STROKE * strokes)
+
+    def is_accepted(item: E) -> bool:
+        most = LEAST_SHARE * healthy.whole.excess
+        if item.whole.excess > most and item.whole.rms > EXPLAINED:
+            return not item.ids
+        needed = least
+        if len(item.ids) > 1:
+            inexact = 0.5 * EXACT**2 * healthy.whole.excess
+            needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond, inexact)
+        for name in item.ids:
+            gain, held = _gains_of(item, judged, name)
+            if gain < needed or held <= 0.0:
+                return False
+            if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in item.slight:
+                return False
+        return True
+
+    leader = min(filter(is_accepted, judged), key=lambda i: i.score, default=healthy)
+    if not leader.ids:
+        return Verdict("consistent", healthy, healthy)
+    probabilities = by_cause(judged)
+    gains = {name: _gains_of(leader, judged, name)[0] for name in leader.ids}
+    groups = _rivals_of(leader, judged, probabilities)
+    most = _surest_of(leader, healthy)
+    stated = {
+        name: p if name == UNNAMED else min(p, most)
+        for name, p in probabilities.items()
+        if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
+    }
+    if leader.whole.beyond > 0.0:
+        for name in leader.slight:
+            stated[name] = min(stated[name], DOUBTED)
+    if UNNAMED in leader.ids:
+        stated[UNNAMED] = min(max(stated[UNNAMED], 1.0 - most), SUREST)
+    surest = max(stated.values())
+    if UNNAMED in leader.ids and stated[UNNAMED] >= max(0.5, surest - 1e-9):
+        kind = UNNAMED
+    elif any(stated[name] < CLEAR for name in leader.ids):
+        kind = "ambiguous"
+    else:
+        kind = "named"
+    return Verdict(kind, leader, healthy, leader.ids, stated, gains, groups)
+
+
+def _surest_of(leader: Explanation, healthy: Explanation) -> float:
+    """Most that a named cause of the leader can be given, by what the leader leaves unexplained.
+
+    A right cause of a slightly other form leaves a small share; next to a non-parametric term a
+    named cause may be no more than a stepping stone.
+    """
+    if UNNAMED in leader.ids:
+        return DOUBTED
+    left = leader.whole.beyond / max(healthy.whole.excess, 1e-9)
+    if leader.whole.beyond <= leader.whole.detail or left <= LEFT[0]:
+        return SUREST
+    doubt = min(1.0, np.log(left / LEFT[0]) / np.log(LEFT[1] / LEFT[0]))
+    return float(SUREST - (SUREST - DOUBTED) * doubt)
+
+
+def slight_causes(item: Judged) -> tuple[str, ...]:
+    """Return the causes that are tiny and not alone."""
+    if len(item.ids) < 2:
+        return ()
+    return tuple(
+        candidate.id
+        for candidate, _values, size in _sizes_of(item.training, item.training.scaled)
+        if candidate.effect.sized_by != "none" and size < SLIGHT
+    )
+
+
+def _rivals_of(
+    leader: Explanation, judged: Sequence[Explanation], probabilities: dict[str, float]
+) -> tuple[tuple[str, ...], ...]:
+    """Return groups that the data cannot distinguish: each claimed cause with what may replace it."""
+    groups = []
+    least = CONTEST * max(item.probability for item in judged)
+    for name in leader.ids:
+        rest = set(leader.ids) - {name}
+        group = {name}
+        for item in judged:
+            if name not in item.ids and item.probability >= least:
+                group |= {
+                    other for other in set(item.ids) - rest if probabilities[other] >= RIVAL_SHARE
+                }
+        if len(group) > 1:
+            groups.append(tuple(sorted(group, key=lambda n: -probabilities[n])))
+    return tuple(dict.fromkeys(groups))

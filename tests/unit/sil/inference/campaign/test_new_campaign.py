@@ -1,0 +1,159 @@
+"""A campaign drafted from files of a laboratory, then diagnosed as it is."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_dbc.errors import InputError
+from sil.cli import main
+from sil.inference.campaign.new_campaign import draft, guess, unit_of
+from sil.inference.force.record import read_motion
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("x [mm]", "mm"), ("Kraft (kN)", "kN"), ("p1 / bar", "bar"), ("t_ms", "ms"), ("load", "")],
+)
+def test_units_are_found_in_names(name: str, unit: str) -> None:
+    assert unit_of(name) == unit
+
+
+def test_time_is_what_increases() -> None:
+    columns = {"a [s]": np.zeros(3), "b [s]": np.arange(3.0), "Weg": np.ones(3)}
+    found = {"time_s": ("b [s]", 1.0, True), "position_m": ("Weg", 1.0, False)}
+    assert guess(columns, {}) == found
+    found = {"time_s": ("b [s]", 1.0, True), "position_m": ("Weg", 1e-3, True)}
+    assert guess(columns, {"Weg": "mm", "a [s]": "V"}) == found
+
+
+def test_a_stored_unit_is_drafted_and_a_channel_without_values_is_not_used(tmp_path: Path) -> None:
+    h5py = importlib.import_module("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, unit in (("time_s", "ms"), ("lvdt", "mm"), ("kraft", b"kN"), ("a", "mm")):
+            file[name] = np.arange(300.0) * (np.nan if name == "a" else 1.0)
+            file[name].attrs["unit"] = unit
+    (tmp_path / "new").mkdir()
+    draft(tmp_path / "new", [tmp_path / "a.h5"])
+    table = tomllib.loads((tmp_path / "new" / "campaign.toml").read_text(encoding="utf-8"))
+    assert table["sample_rate_hz"] == 1000.0
+    assert table["columns"] == {
+        "time_s": {"column": "time_s", "scale": 1e-3},
+        "position_m": {"column": "lvdt", "scale": 1e-3},
+        "force_n": {"column": "kraft", "scale": 1e3},
+    }
+
+
+def test_a_draft_without_time_states_no_rate(tmp_path: Path) -> None:
+    t = np.arange(4000) / 100.0
+    v = 0.1 * np.cos(t) + 0.15 * np.cos(5.0 * t)
+    a = -0.1 * np.sin(t) - 0.75 * np.sin(5.0 * t)
+    x = 0.1 * np.sin(t) + 0.03 * np.sin(5.0 * t)
+    f = 20.0 * a + 15.0 * np.sign(v) + 80.0 * v
+    noise = np.random.default_rng(1).normal(0.0, [0.0, 1e-6, 1.0], (len(t), 3))
+    np.savetxt(tmp_path / "a.csv", np.column_stack([1e3 * t, x, f]) + noise, delimiter="\t")
+    (tmp_path / "new").mkdir()
+    draft(tmp_path / "new", [tmp_path / "a.csv"])
+    file = tmp_path / "new" / "campaign.toml"
+    text = file.read_text(encoding="utf-8")
+    columns = 'time_s = { column = "column_1", scale = 0.001 }\nposition_m = "column_2"\nforce_n = "column_3"'
+    stated = text.replace("[columns]", "[columns]\n" + columns)
+    file.write_text(stated, encoding="utf-8")
+    assert read_motion(tmp_path / "new").step_s == pytest.approx(0.01, rel=1e-6)
+    file.write_text("sample_rate_hz = 1.0\n" + stated, encoding="utf-8")
+    with pytest.raises(InputError, match=r"at 1 samples a second .* another sample_rate_hz"):
+        read_motion(tmp_path / "new")
+
+
+def test_a_draft_is_diagnosed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(8000) / 500.0
+    x = 0.1 * np.sin(2.1 * t) + 0.04 * np.sin(5.7 * t)
+    v = 0.21 * np.cos(2.1 * t) + 0.228 * np.cos(5.7 * t)
+    a = -0.441 * np.sin(2.1 * t) - 1.2996 * np.sin(5.7 * t)
+    f = 20.0 * a + 15.0 * np.sign(v) + 80.0 * v + rng.normal(0.0, 1.0, len(t))
+    table = np.column_stack([1e3 * t, 1e3 * x + rng.normal(0.0, 1e-3, len(t)), 1e-3 * f])
+    rows = ["; ".join(f"{value:.7f}".replace(".", ",") for value in row) for row in table]
+    file = tmp_path / "bench.csv"
+    file.write_text(
+        "Zeit [ms];Weg [mm];Kraft [kN]\n" + "\n".join(rows) + "\n", encoding="utf-8-sig"
+    )
+    new = tmp_path / "new"
+    assert main(["diagnose", "--new", str(new), str(file)]) == 0
+    assert "push towards increasing position" in capsys.readouterr().out
+    assert {"campaign.toml", "channels.png", "bench.csv"} <= {p.name for p in new.iterdir()}
+    assert main(["diagnose", str(new), "--out", str(tmp_path / "out"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "consistent"
+    assert "semicolon-separated, decimal comma, UTF-8 with byte order mark" in found["findings"][0]
+    assert found["body"]["mass_kg"]["value"] == pytest.approx(20.0, rel=0.02)
+
+
+def test_files_that_differ_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in "ab":
+        np.savetxt(
+            tmp_path / f"{name}.csv",
+            np.eye(9),
+            header=",".join(f"{name}{k}" for k in range(9)),
+            comments="",
+            delimiter=",",
+        )
+    files = [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]
+    assert main(["diagnose", "--new", str(tmp_path / "c"), *files]) == 2
+    assert "other columns than" in capsys.readouterr().err
+
+
+def test_a_stored_unit_that_fits_nothing_is_not_guessed_by_its_name() -> None:
+    values = {name: np.arange(3.0) for name in ("time", "force", "pos")}
+    found = guess(values, {"time": "s", "force": "V", "pos": "mm"})
+    assert found == {"time_s": ("time", 1.0, True), "position_m": ("pos", 0.001, True)}
+
+
+def test_a_draft_is_not_replaced_and_files_may_lie_in_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    rows = "\n".join(f"{1e-3 * k},{1e-5 * k * k},{k % 7}" for k in range(300))
+    (folder / "a.csv").write_text(f"time_s,position_m,force_n\n{rows}\n")
+    assert main(["diagnose", "--new", str(folder), str(tmp_path / "none.csv")]) == 2
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv"]
+    for deep in ("p/q/r", "p/../q/r", "bench/q"):
+        assert main(["diagnose", "--new", str(tmp_path / deep), str(tmp_path / "none.csv")]) == 2
+    assert [path.name for path in tmp_path.rglob("*")] == ["bench", "a.csv"]
+    assert main(["diagnose", "--new", str(folder), str(folder / "a.csv")]) == 0
+    (folder / "campaign.toml").write_text("# edited")
+    for more, said in (
+        ([], "campaign.toml: exists; expected a new folder, or --force"),
+        (["--out", "x"], "--out: not together with --new"),
+        (["--force"], "a second file a.csv; expected different names"),
+    ):
+        files = [str(folder / "a.csv")] * 2
+        assert main(["diagnose", *more, "--new", str(folder), *files]) == 2
+        assert said in capsys.readouterr().err
+    assert (folder / "campaign.toml").read_text() == "# edited"
+
+
+def test_a_measured_file_in_the_folder_is_not_replaced_unasked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    rows = "\n".join(f"{1e-3 * k},{1e-5 * k * k},{k % 7}" for k in range(300))
+    (folder / "a.csv").write_text("measured before")
+    (tmp_path / "a.csv").write_text(f"time_s,position_m,force_n\n{rows}\n")
+    command = ["diagnose", "--new", str(folder), str(tmp_path / "a.csv")]
+    assert main(command) == 2
+    assert "a.csv: exists, and is not" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == ["a.csv"]
+    assert (folder / "a.csv").read_text() == "measured before"
+    assert main([*command, "--force"]) == 0
+    assert (folder / "a.csv").read_text().startswith("time_s")
+    for place in ("a.csv", "a.csv/new"):
+        assert main(["diagnose", "--new", str(tmp_path / place), str(tmp_path / "a.csv")]) == 2
+        assert f"{place}: --new: " in capsys.readouterr().err

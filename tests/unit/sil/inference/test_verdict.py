@@ -1,0 +1,208 @@
+"""Probabilities of explanations, what is claimed, what is not, and who is a rival."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from plant.effects import CATALOGUE
+from plant.errors import IntegrationError
+from sil.inference.evidence import ChannelMisfit, Misfit
+from sil.inference.refused import Refusals
+from sil.inference.verdict import EFFECTIVE, Held, by_cause, decide, judge, slight_causes, weigh
+
+
+def entry(
+    score: float, held_chi2: float, *ids: str, beyond: float = 0.0, excess: float = 0.0
+) -> SimpleNamespace:
+    return SimpleNamespace(
+        score=score,
+        ids=ids,
+        name="+".join(ids) or "healthy",
+        whole=SimpleNamespace(
+            beyond=beyond, excess=excess, detail=200.0, rms=(1.0 + excess / 10000) ** 0.5
+        ),
+        held_cost=0.5 * held_chi2,
+        slight=(),
+        training=SimpleNamespace(candidates=[], scaled=[]),
+        probability=0.0,
+    )
+
+
+def named(name: str) -> SimpleNamespace:
+    """A candidate of a named effect with one fitted parameter."""
+    return SimpleNamespace(id=name, parameters=(None,), is_term=False, effect=CATALOGUE[name])
+
+
+def verdict(*entries: SimpleNamespace):
+    weigh(entries)
+    return decide(list(entries), 10)
+
+
+def weighed(*entries: SimpleNamespace) -> list[float]:
+    weigh(entries)
+    return [item.probability for item in entries]
+
+
+def test_close_scores_without_misfit_follow_their_evidence() -> None:
+    one, two = weighed(entry(100.0, 0.0, "a"), entry(100.5, 0.0, "b"))
+    expected = (1.0 + 2.0 * 0.5 / EFFECTIVE) ** (-EFFECTIVE / 2.0)
+    assert two / one == pytest.approx(expected)
+    assert expected == pytest.approx(np.exp(-0.5), rel=0.05)
+
+
+def test_a_model_error_makes_the_same_difference_say_less() -> None:
+    assert weighed(entry(100.0, 0.0, "a"), entry(130.0, 0.0, "b", beyond=60.0))[0] > 0.99
+    unsure = (entry(100.0, 0.0, "a", beyond=2000.0), entry(130.0, 0.0, "b", beyond=2060.0))
+    assert 0.5 < weighed(*unsure)[0] < 0.7
+
+
+def test_a_cause_collects_every_explanation_that_holds_it() -> None:
+    rivals = [entry(100.0, 0.0, "a", "b"), entry(100.0, 0.0, "a", "c"), entry(400.0, 0.0)]
+    assert sum(weighed(*rivals)) == pytest.approx(1.0)
+    total = by_cause(rivals)
+    assert total["a"] == pytest.approx(1.0, abs=1e-6)
+    assert total["b"] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_chance_gains_are_consistent() -> None:
+    found = verdict(entry(1000.0, 500.0), entry(994.0, 495.0, "stribeck"))
+    assert found.kind == "consistent" and found.claimed == ()
+
+
+def test_a_clear_cause_is_named() -> None:
+    found = verdict(
+        entry(3000.0, 1500.0),
+        entry(1000.0, 500.0, "exhaust_clog"),
+        entry(1400.0, 700.0, "piston_leak"),
+    )
+    assert found.kind == "named" and found.claimed == ("exhaust_clog",)
+    assert found.probabilities["exhaust_clog"] == pytest.approx(0.98, abs=0.02)
+    assert found.gains["exhaust_clog"] == pytest.approx(2000.0)
+    assert found.rivals == ()
+
+
+def test_look_alikes_are_rivals_and_the_verdict_ambiguous() -> None:
+    found = verdict(
+        entry(3000.0, 1500.0),
+        entry(1000.0, 500.0, "inlet_clog"),
+        entry(1000.4, 500.0, "supply_low"),
+    )
+    assert found.kind == "ambiguous"
+    assert found.rivals == (("inlet_clog", "supply_low"),)
+    assert 0.5 < found.probabilities["inlet_clog"] < 0.7
+
+
+def test_no_gain_on_held_out_strokes_is_no_cause() -> None:
+    found = verdict(entry(3000.0, 500.0), entry(1000.0, 501.0, "stribeck"))
+    assert found.kind == "consistent"
+
+
+@pytest.mark.parametrize(
+    ("score", "chi2", "second", "claimed"),
+    [(992.0, 495.0, "stribeck", False), (600.0, 300.0, "free_play", True)],
+)
+def test_a_second_cause_must_earn_its_place(score, chi2, second, claimed) -> None:
+    single = entry(1000.0, 500.0, "dynamic_friction")
+    pair = entry(score, chi2, "dynamic_friction", second)
+    found = verdict(entry(3000.0, 1500.0), single, pair)
+    assert found.claimed == ("dynamic_friction", *([second] if claimed else []))
+
+
+def test_a_second_cause_must_explain_a_share_of_what_is_left() -> None:
+    blip = verdict(
+        entry(3000.0, 1500.0, excess=1e6),
+        entry(1200.0, 500.0, "dynamic_friction", beyond=4000.0),
+        entry(1100.0, 450.0, "dynamic_friction", "free_play", beyond=3900.0),
+    )
+    assert blip.claimed == ("dynamic_friction",)
+
+
+@pytest.mark.parametrize(("gain", "claimed"), [(45.0, False), (200.0, True)])
+def test_a_second_cause_that_corrects_the_form_of_a_far_larger_one_is_not_claimed(
+    gain: float, claimed: bool
+) -> None:
+    """A gauge's lag that gains 3.5 million leaves an error of its form that valve_creep removes."""
+    found = verdict(
+        entry(3.5e6, 1.7e6, excess=7e6),
+        entry(1000.0, 500.0, "gauge_line_lag"),
+        entry(1000.0 - gain, 480.0, "gauge_line_lag", "valve_creep"),
+    )
+    assert found.claimed == ("gauge_line_lag", *(["valve_creep"] if claimed else []))
+
+
+def test_a_cause_that_leaves_much_is_doubted() -> None:
+    found = verdict(
+        entry(9000.0, 4500.0, excess=16000.0),
+        entry(4000.0, 2000.0, "stribeck", beyond=6000.0),
+    )
+    assert found.claimed == ("stribeck",)
+    assert found.probabilities["stribeck"] < 0.5 and found.kind == "ambiguous"
+
+
+def with_sizes(item: SimpleNamespace, *sizes: float) -> SimpleNamespace:
+    """Give a pair the fitted sizes of its causes."""
+    own = [named(name) for name in item.ids]
+    item.training = SimpleNamespace(candidates=own, values=[{}] * len(own), scaled=sizes)
+    item.slight = slight_causes(item)
+    return item
+
+
+def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
+    def found(beyond: float):
+        pair = entry(400.0, 200.0, "alpha_speed", "dead_volume_passive", beyond=beyond, excess=9.0)
+        single = entry(1500.0, 700.0, "alpha_speed")
+        return verdict(entry(3000.0, 1500.0, excess=1e5), single, with_sizes(pair, 0.16, 0.03))
+
+    assert found(50.0).probabilities["dead_volume_passive"] == pytest.approx(0.45)
+    assert found(50.0).probabilities["alpha_speed"] > 0.9
+    assert found(50.0).kind == "ambiguous"
+    assert found(0.0).probabilities["dead_volume_passive"] > 0.9
+
+
+def test_a_tiny_second_cause_that_gains_next_to_nothing_is_not_claimed() -> None:
+    def found(size: float):
+        pair = entry(900.0, 440.0, "seal_pressure_friction", "external_force")
+        single = entry(1000.0, 480.0, "seal_pressure_friction")
+        healthy = entry(100000.0, 50000.0, excess=2e5)
+        return verdict(healthy, single, with_sizes(pair, 1.0, size))
+
+    assert found(0.01).claimed == ("seal_pressure_friction",)
+    assert "external_force" in found(0.3).claimed
+
+
+@pytest.mark.parametrize(("left", "claimed"), [(60000.0, ()), (30000.0, ("exhaust_clog",))])
+def test_what_leaves_most_of_a_misfit_explains_nothing(left, claimed) -> None:
+    healthy = entry(60000.0, 20000.0, excess=100000.0, beyond=99000.0)
+    cause = entry(20000.0, 8000.0, "exhaust_clog", excess=left, beyond=left - 1000.0)
+    assert verdict(healthy, cause).claimed == claimed
+
+
+def test_a_channel_that_is_far_off_is_no_detail() -> None:
+    def whole(rms: float) -> Misfit:
+        few = ChannelMisfit(rms, 300, 1.9, 0.03)
+        return Misfit({"a": ChannelMisfit(1.0, 100000, 1.01), "b": few}, 700.0, 100.0, 100300)
+
+    assert whole(2.5).detail == pytest.approx(2006.0)
+    assert whole(16.0).detail == 0.0
+
+
+def test_a_fit_that_the_held_out_strokes_refuse_is_counted_once() -> None:
+    def refuse(*_words: object, **_options: object) -> None:
+        raise IntegrationError("too stiff")
+
+    model = SimpleNamespace(size=2, offsets=(), unit=(), offsets_in=lambda _k: ())
+    fitter = SimpleNamespace(model=model, refusals=Refusals(), fit=refuse)
+    one, two = (
+        SimpleNamespace(name=name, shared=[], candidates=[SimpleNamespace(name=name, id=name)])
+        for name in ("stribeck", "free_play")
+    )
+    known: Held = {}
+    assert judge(fitter, [one], [1], known=known) == []
+    assert judge(fitter, [one, two], [1], known=known) == []
+    assert {name: item.lost for name, item in fitter.refusals.items()} == {
+        "stribeck": 1,
+        "free_play": 1,
+    }
