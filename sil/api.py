@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sil.files.html_table import html_table
+from sil.files.overrides import NO_SETTINGS, Settings
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
@@ -27,10 +28,6 @@ if TYPE_CHECKING:
     from sil.simulation.in_memory import Run
 
 Where = str | Path
-Value = float | int | bool | str
-Settings = Mapping[str, Value] | Sequence[str]
-"""{"valve.D_fall": 0.02}, or ["valve.D_fall=0.02"] as the command line takes it."""
-
 
 ROWS_SHOWN = 20
 """Rows of a sweep that a notebook shows."""
@@ -77,7 +74,7 @@ class Sweep:
 
 def run(
     scenario: Where | Mapping[str, Any],
-    settings: Settings = (),
+    settings: Settings = NO_SETTINGS,
     *,
     model: Where | None = None,
     seed: int | None = None,
@@ -112,7 +109,7 @@ def run(
 
     options: dict[str, Any] = {
         "model": None if model is None else str(model),
-        "settings": texts(settings),
+        "settings": settings,
         "seed": seed,
     }
     if isinstance(scenario, Mapping):
@@ -123,7 +120,7 @@ def run(
 
 
 def simulate(
-    campaign: Where, settings: Settings = (), *, model: Where = "nominal"
+    campaign: Where, settings: Settings = NO_SETTINGS, *, model: Where = "nominal"
 ) -> list[SimulatedStroke]:
     """Simulate each stroke of a campaign, as `opc4 simulate` does.
 
@@ -150,9 +147,10 @@ def simulate(
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.campaign.simulate import simulate_campaign
-    from sil.files.overrides import model_settings
+    from sil.files.overrides import check_numbers
 
-    parameters = overridden(load(str(model)), model_settings(texts(settings)))
+    check_numbers(settings)
+    parameters = overridden(load(str(model)), settings)
     return list(simulate_campaign(load_campaign(campaign), parameters))
 
 
@@ -243,7 +241,9 @@ def diagnose(
     return diagnosed(together, load(str(model)), workers=workers, plan=plan)
 
 
-def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None) -> ReplayResult:
+def replay(
+    log: Where, settings: Settings = NO_SETTINGS, *, firmware: Where | None = None
+) -> ReplayResult:
     """Feed the recorded inputs of a log to the firmware alone, as `opc4 replay` does.
 
     Parameters
@@ -273,16 +273,7 @@ def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None
     return replayed(
         ReplayRequest(
             log=str(log),
-            settings=texts(settings),
+            settings=settings,
             firmware=None if firmware is None else str(firmware),
         )
     )
-
-
-def texts(settings: Settings) -> tuple[str, ...]:
-    """Return settings as PATH=VALUE."""
-    from sil.studies.study import toml_value
-
-    if isinstance(settings, Mapping):
-        return tuple(f"{path}={toml_value(value)}" for path, value in settings.items())
-    return tuple(settings)

@@ -111,5 +111,6 @@ def _recorded(loaded: Loaded, folder: Path) -> list[Check]:
 def opc4_run() -> Callable[..., Run]:
     """Run a scenario: `opc4_run("lab_n_b", "controller.filter=false")`, or a table of its values."""
     from sil.api import run
+    from sil.files.overrides import parse_setting
 
-    return lambda scenario, *settings: run(scenario, settings)
+    return lambda scenario, *settings: run(scenario, dict(map(parse_setting, settings)))

@@ -5,7 +5,6 @@ The same format holds measured strokes and simulated ones.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,6 +20,7 @@ from can_dbc.errors import InputError, nearest
 from can_dbc.typed_toml import convert, read_toml
 from plant.systems.stroke import Stroke, StrokeConditions
 from sil.campaign.tables import SCALES, formula, read_columns
+from sil.files.overrides import toml_value
 
 Floats = NDArray[np.float64]
 
@@ -408,8 +408,3 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
         table = ", ".join(f"{key} = {toml_value(v)}" for key, v in asdict(source).items())
         lines.append(f"{name} = {{ {table} }}")
     return "\n".join(lines) + "\n"
-
-
-def toml_value(value: object) -> str:
-    """Return a value as TOML: but for one character, JSON is written alike."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

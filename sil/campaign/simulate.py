@@ -19,10 +19,10 @@ from sil.campaign.campaign import (
     Record,
     campaign_toml,
     stroke_columns,
-    toml_value,
     write_record,
 )
 from sil.files.atomic import write_atomically
+from sil.files.overrides import toml_value
 
 TAIL_S = 0.1
 """Without a recorded time axis a stroke ends this long after its last command."""

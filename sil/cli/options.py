@@ -23,6 +23,16 @@ def argument(name: str, text: str, metavar: str | None = None, **how: Any) -> Ar
     return name, {"help": text, **how}
 
 
+class _Setting(argparse.Action):
+    """Collects --set PATH=VALUE as values by path."""
+
+    def __call__(self, _parser: Any, namespace: argparse.Namespace, text: Any, *_: Any) -> None:
+        from sil.files.overrides import parse_setting
+
+        path, value = parse_setting(text)
+        namespace.settings = {**namespace.settings, path: value}
+
+
 def out(default: str) -> tuple[Argument, Argument]:
     """Return --out and --force; `default` is the folder without them."""
     text = f"folder for the output, made if missing [{default}]"
@@ -38,8 +48,8 @@ SETTINGS = argument(
     "--set",
     "change one value, e.g. valve.D_fall=0.02 or controller.filter=false; repeatable",
     "PATH=VALUE",
-    action="append",
-    default=[],
+    action=_Setting,
+    default={},
     dest="settings",
 )
 EFFECTS = argument(

@@ -91,8 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.summary:
         return _summary(arguments)
     if arguments.strategy is not None:
-        chosen = f"controller.strategy={arguments.strategy}"
-        arguments.settings = [*arguments.settings, chosen]
+        arguments.settings |= {"controller.strategy": arguments.strategy}
     if (code := _truck(arguments)) is not None:
         return code
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
@@ -108,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.against is not None:
             reference = stack.enter_context(checkout(arguments.against)), arguments.against
         request = ReplayRequest(
-            settings=tuple(arguments.settings),
+            settings=arguments.settings,
             reader=_open(arguments),
             options=load_options(arguments.options) if arguments.options else Options(),
             reference=reference,

@@ -1,14 +1,20 @@
-"""Values from the command line: `--set PATH=VALUE`, applied to a parsed file."""
+"""Settings: values of a scenario, model or firmware by their path, and the text PATH=VALUE of `--set`."""
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import child_type, dotted, field_types, one_line
+
+Settings = Mapping[str, Any]
+"""Values by path, e.g. {"valve.D_fall": 0.02}; a value is what TOML can hold."""
+NO_SETTINGS: Settings = MappingProxyType({})
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
@@ -28,13 +34,26 @@ def parse_setting(text: str) -> tuple[str, Any]:
     return path, value["v"] if set(value) == {"v"} else written
 
 
-def model_settings(settings: Iterable[str]) -> dict[str, float | list[float]]:
-    """Return texts PATH=VALUE as path -> value. Raises InputError unless VALUE is TOML numbers."""
-    changes = dict(map(parse_setting, settings))
-    for path, value in changes.items():
+def setting_texts(settings: Settings) -> list[str]:
+    """Return settings as PATH=VALUE, as a user types them."""
+    return [f"{path}={toml_value(value)}" for path, value in settings.items()]
+
+
+def toml_value(value: Any) -> str:
+    """Return a value, a table, or a list of either, as TOML text."""
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, dict):
+        pairs = (f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items())
+        return "{ " + ", ".join(pairs) + " }"
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def check_numbers(settings: Settings) -> None:
+    """Check settings of a model. Raises InputError for a text."""
+    for path, value in settings.items():
         if isinstance(value, str):
             raise InputError(f"--set {path}: {value!r}; expected a number")
-    return changes
 
 
 def leaf_paths(kind: Any, value: Any, prefix: tuple[str | int, ...] = ()) -> Iterator[str]:

@@ -22,9 +22,9 @@ from can_dbc.codec import decode, message_type_of
 from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
 from controller import strategies
-from sil.api import texts
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
+from sil.files.overrides import setting_texts
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.recording.trace_csv import held
 from sil.report.figure import MS
@@ -101,7 +101,7 @@ def load_asked(asked: Asked, scenarios: Mapping[str, str]) -> Loaded:
     if asked.duration_s is not None:
         table["duration_s"] = asked.duration_s
     loaded = load_scenario.from_table(
-        table, asked.scenario, folder=path_of_file.parent, settings=texts(asked.settings)
+        table, asked.scenario, folder=path_of_file.parent, settings=asked.settings
     )
     duration_s, period_s = loaded.scenario.duration_s, loaded.scenario.trace_period_s
     max_steps = 200_000
@@ -159,7 +159,7 @@ def _again(asked: Asked, loaded: Loaded, run: Run) -> dict[str, Any]:
     """Return what makes the same run without the page, and its hash."""
     changed = asked.requests is not None or asked.faults or asked.duration_s is not None
     words = ["opc4", "run", asked.scenario]
-    words += [word for text in texts(asked.settings) for word in ("--set", text)]
+    words += [word for text in setting_texts(asked.settings) for word in ("--set", text)]
     return {
         "name": asked.scenario,
         "command": "" if changed else shlex.join(words),

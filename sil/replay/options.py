@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from can_dbc import typed_toml
 from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_text
 from sil.files.output_folder import RESULT
+from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
 from sil.nodes.own_firmware import absolute
 from sil.replay.tick_grid import Survey
 from sil.simulation import load_scenario, scenario
@@ -41,7 +42,7 @@ def find_settings(
     found: Survey,
     *,
     firmware: str | None = None,
-    settings: Sequence[str] = (),
+    settings: Settings = NO_SETTINGS,
     run: str | None = None,
     with_plant: bool = False,
 ) -> ReplaySettings:
@@ -49,7 +50,7 @@ def find_settings(
 
     `firmware`: a file with the firmware's settings (a table of them, a [controller] table, a
     scenario or a result.json), or the program of another firmware (FILE.py or FILE.py:CLASS). `run`: scenario or result.json that the log is of. `settings`:
-    PATH=VALUE; those of the plant need `with_plant`.
+    values by path; those of the plant need `with_plant`.
     Raises InputError. Checked by: tests/unit/sil/replay/test_options.py
     """
     path = Path(log).with_name(RESULT)
@@ -78,7 +79,7 @@ def find_settings(
         _refuse_impossible_periods(raw, log)
     loaded = load_scenario.from_table(raw, source, settings=settings)
     if settings:
-        description += " with " + ", ".join(settings)
+        description += " with " + ", ".join(setting_texts(settings))
     free_running = run is None and "mode" in result.get("bus", {})
     return ReplaySettings(loaded, description, own_run, recorded_ns, free_running)
 
@@ -146,10 +147,9 @@ def _refuse_impossible_periods(raw: dict[str, Any], log: str) -> None:
         ) from None
 
 
-def _refuse_plant_settings(settings: Sequence[str]) -> None:
-    for text in settings:
-        path = text.partition("=")[0].strip()
-        if path and path.split(".")[0] not in ("controller", "firmware"):
+def _refuse_plant_settings(settings: Settings) -> None:
+    for path in settings:
+        if path.split(".")[0] not in ("controller", "firmware"):
             raise InputError(
                 f"--set {typed_toml.one_line(path, 60)}: not of the firmware, which is replayed "
                 "alone; expected controller..., or --plant or --closed-loop"

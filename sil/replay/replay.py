@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,6 +17,7 @@ from can_dbc.messages import ShiftRequest, ValveCommand
 from controller.node import ControllerNode
 from sil.coupling.transports.channel import Participant
 from sil.files.html_table import html_table
+from sil.files.overrides import Settings
 from sil.files.quantity import counted
 from sil.logs import LogFrame, LogReport, Logs, open_logs
 from sil.nodes.own_firmware import OwnController
@@ -43,7 +44,7 @@ class ReplayRequest:
 
     log: str
     firmware: str | None = None
-    settings: Sequence[str] = ()
+    settings: Settings = field(default_factory=dict)
     options: Options = field(default_factory=Options)
     run: str | None = None
     dbc: str | None = None

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.messages import GEAR_PARK, ControllerStatus, Fault
+from sil.files.overrides import Settings
 from sil.replay.truck_shift import SYNCHRONISED_RAD_S, RecordedShift, peak_rate
 from sil.report.figure import Floats
 from sil.simulation import load_scenario
@@ -208,7 +209,7 @@ def simulate(
     inputs: Sequence[Input],
     source: str,
     table: Mapping[str, Any],
-    settings: Sequence[str],
+    settings: Settings,
 ) -> OurShift:
     """Run a shift with our firmware and plant.
 

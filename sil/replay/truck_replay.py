@@ -5,7 +5,7 @@ Checked by: tests/scenarios/test_truck_log.py
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Final
@@ -16,6 +16,7 @@ from can_dbc.codec import can_id_of
 from can_dbc.errors import InputError
 from can_dbc.messages import ValveCommand
 from sil.files.output_folder import finite
+from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
 from sil.files.progress import Progress
 from sil.files.quantity import counted
 from sil.j1939.mapping import ANY_SOURCE, SignalMapping
@@ -37,7 +38,7 @@ class Variant:
     name: str
     changes: str = ""
     table: dict[str, Any] = field(default_factory=dict)
-    settings: tuple[str, ...] = ()
+    settings: Settings = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def replay_truck(
     *,
     map: str | None = None,
     dbc: str | None = None,
-    settings: Sequence[str] = (),
+    settings: Settings = NO_SETTINGS,
     firmware: str | None = None,
 ) -> TruckReplay | None:
     """Compare every shift of a log with ours; None if the log is of our own control unit.
@@ -107,9 +108,9 @@ def replay_truck(
         )
     variants = [Variant("ours")]
     if settings or firmware:
-        changes = ", ".join([*([firmware] if firmware else []), *settings])
+        changes = ", ".join([*([firmware] if firmware else []), *setting_texts(settings)])
         table = firmware_of(firmware) if firmware else {}
-        variants.append(Variant("what-if", changes, table, tuple(settings)))
+        variants.append(Variant("what-if", changes, table, settings))
     shifts = []
     with Progress("shifts") as progress:
         for number, shift in enumerate(log.shifts, start=1):

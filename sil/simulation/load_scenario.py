@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
-from sil.files import overrides
+from sil.files.overrides import Settings, leaf_paths, set_value
 from sil.nodes.own_firmware import absolute
 from sil.simulation.scenario import Scenario, check_consistent
 
@@ -42,9 +42,8 @@ class Overrides(TypedDict, total=False):
 
     model: str | None
     """Parameter set or model file of the plant."""
-    settings: Sequence[str]
-    """Texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...), sensor,
-    bus, or model (valve.D_fall)."""
+    settings: Settings
+    """Values by path: of the scenario, firmware (controller...), sensor, bus, or model (valve.D_fall)."""
     effects: Sequence[str]
     """Files of a user's own effects."""
     seed: int | None
@@ -75,7 +74,7 @@ def from_table(
     Raises InputError as `load` does.
     """
     model, seed = given.get("model"), given.get("seed")
-    settings, effects = given.get("settings", ()), given.get("effects", ())
+    settings, effects = given.get("settings", {}), given.get("effects", ())
     raw = copy.deepcopy(dict(table))
     scenario = _checked(raw, source)
     if model is not None:
@@ -95,8 +94,9 @@ def from_table(
         raw["seed"] = seed
         scenario = _checked(raw, "--seed")
     if settings:
-        for text in settings:
-            _apply(raw, text, parameters)
+        for setting_path, value in settings.items():
+            value = value.tolist() if hasattr(value, "tolist") else copy.deepcopy(value)  # numpy
+            _apply(raw, setting_path, value, parameters)
         typed_toml.refuse_not_finite(raw, "--set")
         scenario = _checked(raw, "--set")
         if scenario.firmware:
@@ -204,7 +204,7 @@ def _overridden(
     parameters: ParameterSet,
     changes: Mapping[str, float | list[float]],
     source: str,
-    settings: Sequence[str],
+    settings: Settings,
 ) -> ParameterSet:
     try:
         if any(path.startswith("effect.") for path in changes):
@@ -213,14 +213,12 @@ def _overridden(
             return overridden(parameters, changes)
         return parameters.override(changes)
     except InputError as error:
-        paths = [overrides.parse_setting(text)[0].removeprefix("model.") for text in settings]
-        is_set = any(f" {path}: " in str(error) for path in paths)
+        is_set = any(f" {path.removeprefix('model.')}: " in str(error) for path in settings)
         raise InputError(f"{'--set' if is_set else f'{source}: model'}: {error}") from None
 
 
-def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
-    """Apply one PATH=VALUE to the raw scenario."""
-    path, value = overrides.parse_setting(text)
+def _apply(raw: dict[str, Any], path: str, value: Any, parameters: ParameterSet) -> None:
+    """Set the value at a path of the raw scenario. Raises InputError for one that does not exist."""
     if path in parameters or path.startswith("effect."):
         raw.setdefault("model", {})[path] = value
         return
@@ -228,8 +226,8 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
         path = "controller.filter.enabled"
     if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
         return
-    if not overrides.set_value(raw, Scenario, path, value):
-        known = [*overrides.leaf_paths(Scenario, raw), *parameters]
+    if not set_value(raw, Scenario, path, value):
+        known = [*leaf_paths(Scenario, raw), *parameters]
         near = nearest(path, known, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
         raise InputError(
             f"--set {typed_toml.one_line(path)}: no such value; expected one of {', '.join(near)}, ..."

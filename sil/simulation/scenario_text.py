@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from sil.files.overrides import toml_value
 from sil.simulation.scenario import Scenario, expanded
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -57,7 +58,7 @@ def _lines(table: Mapping[str, Any], prefix: str) -> Iterator[str]:
         if isinstance(value, dict) or (value and _is_tables(value)):
             inner.append((prefix + name, value))
         else:
-            yield f"{name} = {json.dumps(value)}"
+            yield f"{name} = {toml_value(value)}"
     for name, value in inner:
         tables = value if isinstance(value, list) else [value]
         for item in tables:

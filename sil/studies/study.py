@@ -189,7 +189,7 @@ class Study:
             table,
             str(path),
             model=None if self.file.model == "nominal" else self.file.model,
-            settings=texts_of(settings),
+            settings=settings,
             seed=self.file.seed,
             folder=path.parent,
         )
@@ -290,18 +290,3 @@ def check_rows(file: StudyFile, source: str) -> None:
     size = design_size(file.design, file.sweep) * math.prod(map(len, file.groups.values()))
     if size > MAX_ROWS:
         raise InputError(f"{source}: {size} rows; expected at most {MAX_ROWS}")
-
-
-def texts_of(settings: Settings) -> list[str]:
-    """Return settings as PATH=VALUE."""
-    return [f"{path}={toml_value(value)}" for path, value in settings.items()]
-
-
-def toml_value(value: Setting | dict[str, Value]) -> str:
-    """Return a value, a table, or a list of either, as TOML text."""
-    if isinstance(value, list):
-        return "[" + ", ".join(map(toml_value, value)) + "]"
-    if isinstance(value, dict):
-        pairs = (f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items())
-        return "{ " + ", ".join(pairs) + " }"
-    return json.dumps(value)

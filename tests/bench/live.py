@@ -21,7 +21,7 @@ def measure() -> Iterator[str]:
     """Lines of the table; needs Chromium."""
     alone = []
     for number in range(12):
-        changed = [f"valve.D_fall={0.01 + 1e-4 * number:.4f}"]
+        changed = {"valve.D_fall": round(0.01 + 1e-4 * number, 4)}
         begin = time.perf_counter()
         run_in_memory(load_scenario.load(NAME, settings=changed))
         alone.append(1e3 * (time.perf_counter() - begin))

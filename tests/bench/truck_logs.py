@@ -26,7 +26,9 @@ NEUTRAL_S = (0.55, 0.75)
 """Time between two requests."""
 
 
-def drawn_truck(generator: np.random.Generator, shifts: int) -> tuple[dict[str, Any], list[str]]:
+def drawn_truck(
+    generator: np.random.Generator, shifts: int
+) -> tuple[dict[str, Any], dict[str, float]]:
     """Return a scenario of one truck and the settings that make it differ from the nominal one."""
     normal, uniform = generator.normal, generator.uniform
     at_s, gear, requests = 0.3, "neutral", []
@@ -68,7 +70,7 @@ def drawn_truck(generator: np.random.Generator, shifts: int) -> tuple[dict[str, 
         "sensor": {"phase_s": float(uniform(0.0, 0.0099)), "noise_sd_s": 2e-7},
         "clock": {"controller_ppm": float(uniform(-60.0, 60.0))},
     }
-    return raw, [f"{name}={float(value)!r}" for name, value in settings.items()]
+    return raw, {name: float(value) for name, value in settings.items()}
 
 
 def truck_log(
@@ -84,11 +86,11 @@ def truck_log(
     """
     raw, settings = drawn_truck(np.random.default_rng(seed), shifts)
     if nominal:
-        settings = []
+        settings = {}
         raw["plant"] |= {"mesh_force_n": 600.0, "pull_force_n": 300.0, "supply_pressure_pa": 9e5}
         raw["driveline"] = {"residual_rad_s": 8.0}
         raw["sensor"] |= {"noise_sd_s": 0.0}
-    settings += [f"{name}={value!r}" for name, value in (cause or {}).items()]
+    settings |= cause or {}
     _write(path, load_scenario.from_table(raw, "drawn", settings=settings, seed=seed))
     return raw
 
@@ -110,9 +112,9 @@ def trips(
         raw, _others = drawn_truck(np.random.default_rng([seed, trip]), shifts)
         driveline = same["driveline"] | {"residual_rad_s": raw["driveline"]["residual_rad_s"]}
         raw |= {"plant": same["plant"], "clock": same["clock"], "driveline": driveline}
-        own = [f"{name}={value!r}" for name, value in cause.items()] if trip >= at else []
+        later = cause if trip >= at else {}
         loaded = load_scenario.from_table(
-            raw, "drawn", settings=[*settings, *own], seed=1000 * seed + trip
+            raw, "drawn", settings=settings | later, seed=1000 * seed + trip
         )
         begin_ns = (FIRST_DAY_S + trip * DAY_S) * 1_000_000_000
         _write(folder / f"{trip:03d}.log", loaded, begin_ns)

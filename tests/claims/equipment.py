@@ -60,10 +60,15 @@ def _f06_pulse() -> Outcome:
 
 
 @cache
-def lags(*settings: str) -> tuple[float, float]:
+def lags(filtered: bool = True) -> tuple[float, float]:
     """Return the lag of the held position [s] at 10 % and 90 % of travel, averaged over the phase."""
     # the firmware pushes at a tick: only the valve can move the motion against the raster
-    shifts = [loop("lab_n_b", *settings, f"valve.D_rise={0.008 + p}").shifts[0] for p in PHASES]
+    shifts = [
+        loop(
+            "lab_n_b", **{"controller.filter.enabled": filtered, "valve.D_rise": 0.008 + p}
+        ).shifts[0]
+        for p in PHASES
+    ]
     found = [(shift.position_lag_10_held_s, shift.position_lag_90_held_s) for shift in shifts]
     early, late = np.mean(np.array(found, dtype=float), axis=0)
     return float(early), float(late)
@@ -76,7 +81,7 @@ def _f07_sensor_lag() -> Outcome:
 
 
 def _f08_unfiltered_lag() -> Outcome:
-    early, late = lags("controller.filter.enabled=false")
+    early, late = lags(False)
     ratio = sum(lags()) / (early + late)
     return judged(2.6 <= ratio <= 4.2 and abs(late - early) < 0.0015, *ms(early, late), ratio)
 

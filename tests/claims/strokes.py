@@ -72,9 +72,9 @@ def plain(kind: str) -> Stroke:
 
 
 @cache
-def loop(name: str, *settings: str) -> Run:
+def loop(name: str, **settings: Any) -> Run:
     """Return a shipped scenario run in memory."""
-    return run_in_memory(load_scenario(name, settings=list(settings)))
+    return run_in_memory(load_scenario(name, settings=settings))
 
 
 def ms(*times_s: float) -> tuple[float, ...]:

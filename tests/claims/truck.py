@@ -89,17 +89,17 @@ def _f48_stall() -> Outcome:
 
 
 def _f49_spread() -> Outcome:
-    tuned = [
-        'controller.strategy="predictive"',
-        "controller.strategy_parameters.time_weight_m_s2=27.146",
-        "controller.strategy_parameters.way_weight_per_s=552.12",
-    ]
-    mounted = ["plant.mounted=true", "plant.mesh_force_n=1300.0", "duration_s=0.9"]
-    loads = [[*mounted, f"driveline.impulse_backward_n_s={j}"] for j in (18.0, 78.0, 250.0)]
+    tuned = {
+        "controller.strategy": "predictive",
+        "controller.strategy_parameters.time_weight_m_s2": 27.146,
+        "controller.strategy_parameters.way_weight_per_s": 552.12,
+    }
+    mounted = {"plant.mounted": True, "plant.mesh_force_n": 1300.0, "duration_s": 0.9}
+    loads = [mounted | {"driveline.impulse_backward_n_s": j} for j in (18.0, 78.0, 250.0)]
     figures = [
-        loop("lab_n_b", *load, *more).shifts[0].impact_worst_m_s or 0.0
-        for load in ([], *loads)
-        for more in (tuned, [])
+        loop("lab_n_b", **load, **more).shifts[0].impact_worst_m_s or 0.0
+        for load in ({}, *loads)
+        for more in (tuned, {})
     ]
     bench, truck = figures[:2], figures[2:]
     fails = all(mpc > 0.95 * plain for mpc, plain in zip(truck[::2], truck[1::2], strict=True))

@@ -14,13 +14,13 @@ from sil.simulation.load_scenario import load
 JOINED = "length.F_bond=1e6"
 
 
-def shift(name: str, *settings: str) -> Run:
-    return run_in_memory(load(name, settings=["duration_s=0.4", *settings]))
+def shift(name: str, bond_n: float) -> Run:
+    return run_in_memory(load(name, settings={"duration_s": 0.4, "length.F_bond": bond_n}))
 
 
 @pytest.mark.parametrize(("name", "contact"), [("strategy_air_cushion", 0.013), ("lab_b_n", 0.0)])
 def test_joined_bodies_stay_together_between_the_gears(name: str, contact: float) -> None:
-    runs = [shift(name, f"length.F_bond={bond}") for bond in (0.0, 1e6)]
+    runs = [shift(name, bond) for bond in (0.0, 1e6)]
     apart = []
     for run in runs:
         truth = run.record.truth
@@ -37,13 +37,13 @@ def test_a_weak_bond_breaks() -> None:
     """A bond that bears less than the brake pulls parts, later than none."""
     parted = []
     for bond in (0.0, 50.0, 1e6):
-        events = shift("strategy_air_cushion", f"length.F_bond={bond}").record.events
+        events = shift("strategy_air_cushion", bond).record.events
         parted.append([e.time_s for e in events if e.name == "piston_1_separation"])
     assert parted[0][0] < parted[1][0] and not parted[2]
 
 
 def test_in_the_truck_the_open_loop_hardly_depends_on_the_contact() -> None:
-    found = [shift("truck_into_gear_2200n", f"length.F_bond={bond}") for bond in (0.0, 1e6)]
+    found = [shift("truck_into_gear_2200n", bond) for bond in (0.0, 1e6)]
     push, joined = (run.shifts[0].impact_worst_m_s for run in found)
     assert push == pytest.approx(joined, abs=1e-5)
 

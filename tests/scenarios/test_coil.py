@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sil.files.overrides import NO_SETTINGS, Settings
 from sil.report.run_figure import run_figure
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import load
@@ -14,8 +15,8 @@ from sil.simulation.runner import run
 from tests.claims.claim import MET, PARTLY, all_claims, check
 
 
-def shift(*settings: str) -> Run:
-    return run_in_memory(load("lab_n_b", settings=["plant.drive=coil", *settings]))
+def shift(settings: Settings = NO_SETTINGS) -> Run:
+    return run_in_memory(load("lab_n_b", settings={"plant.drive": "coil", **settings}))
 
 
 def instants(found: Run, name: str) -> list[float]:
@@ -28,17 +29,17 @@ def closing_s(found: Run) -> float:
 
 
 @pytest.mark.parametrize(
-    "setting", ["controller.duty=0.36", "valve_driver.hold_duty=0.36", "duration_s=0.7"]
+    "settings", [{"controller.duty": 0.36}, {"valve_driver.hold_duty": 0.36}, {"duration_s": 0.7}]
 )
-def test_closes_in_6_ms_from_36_percent_and_in_35_from_98(setting: str) -> None:
-    expected = 0.035 if setting.startswith("duration") else 0.006
-    assert closing_s(shift(setting)) == pytest.approx(expected, abs=0.0005)
+def test_closes_in_6_ms_from_36_percent_and_in_35_from_98(settings: dict[str, float]) -> None:
+    expected = 0.035 if "duration_s" in settings else 0.006
+    assert closing_s(shift(settings)) == pytest.approx(expected, abs=0.0005)
 
 
 def test_no_dropout_from_push_to_blow() -> None:
     """The duty is the commanded one from the start of the push to the end of the blow."""
     for duty in (0.36, 0.98):
-        found = shift(f"controller.duty={duty}")
+        found = shift({"controller.duty": duty})
         (on,), (off,) = instants(found, "coil_B_on"), instants(found, "coil_B_off")
         assert off - on > 0.2  # push and blow
         time, cmd = found.record.truth["time_s"], found.record.truth["cmd_B"]
@@ -60,7 +61,7 @@ def test_coil_and_delays_agree_on_the_shift() -> None:
 
 
 def test_current_is_in_trace_and_picture(tmp_path: Path) -> None:
-    loaded = load("lab_n_b", settings=["plant.drive=coil", "coil.dip=[]"])
+    loaded = load("lab_n_b", settings={"plant.drive": "coil", "coil.dip": []})
     finished = run(loaded, tmp_path)
     assert finished.result.trace_sha256 == run_in_memory(loaded).trace_sha256
     assert "current_B_a" in (tmp_path / "trace.csv").read_text().split("\n", 1)[0].split(",")

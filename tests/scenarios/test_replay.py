@@ -9,6 +9,7 @@ import pytest
 
 from can_dbc.contract import DBC_PATH
 from can_dbc.messages import ControllerStatus, PlantMotion
+from sil.files.overrides import NO_SETTINGS, Settings
 from sil.logs import open_log
 from sil.replay.replay import ReplayRequest, ReplayResult, replay
 from sil.simulation import load_scenario, runner
@@ -19,7 +20,7 @@ NAMES = sorted(load_scenario.shipped())
 SOME = ("bus_off", "full_shift", "late_valve_commands", "strategy_predictive")
 
 
-def recorded(folder: Path, name: str, *settings: str) -> Path:
+def recorded(folder: Path, name: str, settings: Settings = NO_SETTINGS) -> Path:
     folder.mkdir()
     runner.run(load_scenario.load(name, settings=settings), folder)
     return folder / "bus.log"
@@ -83,8 +84,8 @@ def test_the_filter_removed_moves_every_edge_as_two_runs_say(
     name: str, shipped_run: ShippedRun, tmp_path: Path
 ) -> None:
     with_filter = shipped_run(name)[1] / "bus.log"
-    without = recorded(tmp_path / "without", name, "controller.filter=false")
-    found = replay(ReplayRequest(str(with_filter), settings=["controller.filter=false"]))
+    without = recorded(tmp_path / "without", name, {"controller.filter": False})
+    found = replay(ReplayRequest(str(with_filter), settings={"controller.filter": False}))
     period_ns = found.grid.period_ns
     a, b = coil_edges_ns(with_filter, period_ns), coil_edges_ns(without, period_ns)
     assert a.keys() == b.keys() and len(a) >= 2
@@ -108,21 +109,21 @@ def test_the_filter_removed_moves_every_edge_as_two_runs_say(
 
 
 @pytest.mark.parametrize(
-    ("name", "setting", "closed_ns"),
+    ("name", "settings", "closed_ns"),
     [
-        ("full_shift", "controller.filter=false", 210_000_000),
-        ("firmware_2500us", "controller.filter=true", 147_500_000),
-        ("busy_bus", "controller.blow.duration_s=0.05", 250_000_000),
+        ("full_shift", {"controller.filter": False}, 210_000_000),
+        ("firmware_2500us", {"controller.filter": True}, 147_500_000),
+        ("busy_bus", {"controller.blow.duration_s": 0.05}, 250_000_000),
     ],
 )
 def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
-    name: str, setting: str, closed_ns: int, shipped_run: ShippedRun
+    name: str, settings: Settings, closed_ns: int, shipped_run: ShippedRun
 ) -> None:
     """Bit by bit: the position that the plant published, and every state at its tick."""
     log = shipped_run(name)[1] / "bus.log"
-    found = replay(ReplayRequest(str(log), settings=[setting], closed_loop=True))
+    found = replay(ReplayRequest(str(log), settings=settings, closed_loop=True))
     assert found.plant is not None and found.plant.closed_ns == closed_ns
-    run = run_in_memory(load_scenario.load(name, settings=[setting])).record
+    run = run_in_memory(load_scenario.load(name, settings=settings)).record
     positions = [motion.position_m for _, motion in run.of(PlantMotion)]
     assert [p.replayed_m for p in found.plant.positions][: len(positions)] == positions
     period_ns, states = found.grid.period_ns, []
@@ -142,12 +143,12 @@ def test_a_plant_that_is_another_is_reported_from_a_unit_that_is_another(
     shipped_run: ShippedRun,
 ) -> None:
     log = shipped_run("lab_n_b")[1] / "bus.log"
-    plant = replay(ReplayRequest(str(log), settings=["valve.D_fall=0.02"], plant=True))
+    plant = replay(ReplayRequest(str(log), settings={"valve.D_fall": 0.02}, plant=True))
     assert plant.plant is not None
     assert not plant.comparison.differs and plant.plant.differing > 0 and plant.differs
-    heavier = replay(ReplayRequest(str(log), settings=["length.m_s=8.0"], plant=True))
+    heavier = replay(ReplayRequest(str(log), settings={"length.m_s": 8.0}, plant=True))
     assert heavier.plant is not None and heavier.plant.first is not None
     assert heavier.plant.first[0] > 110_000_000  # not before the valve opened
     assert heavier.plant.largest["PlantMotion.position_m"] > 1e-4
-    unit = replay(ReplayRequest(str(log), settings=["controller.filter=false"], plant=True))
+    unit = replay(ReplayRequest(str(log), settings={"controller.filter": False}, plant=True))
     assert unit.plant is not None and unit.comparison.differs and not unit.plant.differing

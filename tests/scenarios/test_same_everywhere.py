@@ -16,6 +16,7 @@ import pytest
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from sil.coupling.transports.link import open_link, take_part
+from sil.files.overrides import Settings
 from sil.simulation import load_scenario, runner
 from tests.conftest import ROOT
 from tests.scenarios.conftest import ShippedRun
@@ -68,19 +69,19 @@ def test_a_speed_that_cannot_be_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("transport", ["inproc", "local"])
 @pytest.mark.parametrize(
-    ("setting", "complaint"),
+    ("settings", "complaint"),
     [
-        ("position_sensor.t_mid=1", "sensor.capture_s: 0.0015; expected at least"),
-        ("length.V_N0=6e-5", "length.V_N0: 6e-05 m^3 leaves chamber N no volume"),
+        ({"position_sensor.t_mid": 1}, "sensor.capture_s: 0.0015; expected at least"),
+        ({"length.V_N0": 6e-5}, "length.V_N0: 6e-05 m^3 leaves chamber N no volume"),
     ],
 )
 def test_what_only_the_plant_can_refuse_is_bad_input_on_every_transport(
-    transport: str, setting: str, complaint: str, tmp_path: Path
+    transport: str, settings: Settings, complaint: str, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
     with pytest.raises(InputError) as caught:
-        runner.run(load_scenario.load("lab_n_b", settings=[setting]), folder, transport=transport)
+        runner.run(load_scenario.load("lab_n_b", settings=settings), folder, transport=transport)
     assert str(caught.value).startswith(str(load_scenario.shipped()["lab_n_b"]) + ": ")
     assert complaint in str(caught.value)
     assert not folder.exists()
@@ -181,7 +182,7 @@ def test_a_guest_announced_in_the_scenario_sends_too(
 ) -> None:
     """The same guest gives the same bits; in one process, where it cannot join, it is refused."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    loaded = load_scenario.load("lab_n_b", settings=["bus.guest=true"])
+    loaded = load_scenario.load("lab_n_b", settings={"bus.guest": True})
     results = []
     for name in ("first", "second"):
         (folder := tmp_path / name).mkdir()

@@ -73,7 +73,7 @@ def test_no_coil_is_released_during_a_handover(name: str, shipped_run: ShippedRu
 def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
     first = runner.run(
         load_scenario.load(
-            "lab_n_b", settings=["valve.D_fall=0.02", "controller.filter=false"], seed=7
+            "lab_n_b", settings={"valve.D_fall": 0.02, "controller.filter": False}, seed=7
         ),
         tmp_path,
     )
@@ -87,7 +87,7 @@ def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
 
 def test_an_expectation_that_does_not_hold_fails_the_run(tmp_path: Path) -> None:
     finished = runner.run(
-        load_scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path
+        load_scenario.load("lab_n_b", settings={"expect.final_gear": "forward"}), tmp_path
     )
     assert finished.result.complete and not finished.result.passed
     assert finished.result.status == "failed"

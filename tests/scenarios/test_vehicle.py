@@ -102,9 +102,12 @@ def test_ratios_speeds_and_pressure_agree(found: Run) -> None:
 def test_engine_without_requests_leaves_the_synchronizer_the_whole_difference(
     found: Run,
 ) -> None:
-    lost = run_in_memory(load(NAME, settings=["driveline.follows_requests=false"]))
+    lost = run_in_memory(load(NAME, settings={"driveline.follows_requests": False}))
     assert lost.shifts[0].arrived_s == pytest.approx(found.shifts[0].arrived_s, abs=0.1)
-    table = ["fault=[{kind='loss', message='Tsc1'}]", "controller.shift.sync_wait_s=0.2"]
+    table = {
+        "fault": [{"kind": "loss", "message": "Tsc1"}],
+        "controller.shift.sync_wait_s": 0.2,
+    }
     alone = run_in_memory(load(NAME, settings=table))
     block, unblock = (
         next(e.time_s for e in alone.record.events if e.name == name)
@@ -162,11 +165,11 @@ def test_addresses_are_claimed_and_no_fault_is_active(found: Run) -> None:
 
 
 def test_two_faults_go_over_the_transport_protocol() -> None:
-    settings = [
-        "speed_fault=[{kind='off', start_s=0.2}]",
-        "sensor_fault=[{kind='off', start_s=0.4}]",
-        "duration_s=2.0",
-    ]
+    settings = {
+        "speed_fault": [{"kind": "off", "start_s": 0.2}],
+        "sensor_fault": [{"kind": "off", "start_s": 0.4}],
+        "duration_s": 2.0,
+    }
     faulty = run_in_memory(load(NAME, settings=settings))
     assembler = Assembler()
     long = [m for frame in logged(faulty) if (m := assembler.take(frame)) and m.pgn == PGN_DM1]
@@ -194,6 +197,6 @@ def test_truck_without_a_table_is_absent_and_a_driver_with_one_refused() -> None
     plain = run_in_memory(load("lab_n_b")).record
     assert not plain.frames_of(can_id_of(Eec1))
     with pytest.raises(InputError, match=r"driver: given; expected none with \[vehicle\]"):
-        load(NAME, settings=["driver.period_s=0.01"])
-    changed = load(NAME, settings=["vehicle.ratio_forward=1.3"]).scenario
+        load(NAME, settings={"driver.period_s": 0.01})
+    changed = load(NAME, settings={"vehicle.ratio_forward": 1.3}).scenario
     assert changed.driveline.ratio_forward == changed.controller.broadcast.ratio_forward == 1.3

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from can_dbc.errors import InputError
-from sil.campaign.campaign import LARGEST, Floats, toml_value
+from sil.campaign.campaign import LARGEST, Floats
 from sil.campaign.tables import SCALES, read_columns
 from sil.files.atomic import write_atomically
+from sil.files.overrides import toml_value
 from sil.report.figure import Figure, Panel, Series, Stack
 from sil.report.picture import save
 

@@ -19,7 +19,7 @@ from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from sil.studies.kinds.runs import RunsStudy
 from sil.studies.policies import GEARBOX, PUSH, Arrivals, FamilyModel
-from sil.studies.study import Setting, Settings, Study, texts_of
+from sil.studies.study import Setting, Settings, Study
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
@@ -128,7 +128,7 @@ class Case:
     def _changed(self, measure: Measure) -> tuple[str, dict[str, Setting]]:
         """Return a scenario and its settings under the conditions."""
         conditions, settings = self.conditions, dict(measure.set)
-        plain = load_scenario.load(measure.scenario, settings=texts_of(settings)).scenario
+        plain = load_scenario.load(measure.scenario, settings=settings).scenario
         if conditions.supply_pressure_pa is not None:
             settings["plant.supply_pressure_pa"] = conditions.supply_pressure_pa
         if conditions.mesh_force_n is not None and plain.plant.mounted:
@@ -171,8 +171,10 @@ class Case:
         One that does not arrive counts as 2 m/s, harder than every impact, and 1 s.
         """
         model = None if self.model == "nominal" else self.model
-        texts = texts_of({**self.settings, **settings})
-        shift = run_in_memory(load_scenario.load(scenario, model=model, settings=texts)).shifts[-1]
+        changed = {**self.settings, **settings}
+        shift = run_in_memory(load_scenario.load(scenario, model=model, settings=changed)).shifts[
+            -1
+        ]
         if shift.arrived_s is None or shift.impact_worst_m_s is None:
             return 2.0, 1.0
         return shift.impact_worst_m_s, shift.arrived_s

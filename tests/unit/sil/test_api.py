@@ -57,7 +57,7 @@ def test_run_is_the_command(tmp_path: Path) -> None:
 
 def test_run_takes_a_table() -> None:
     table = {"name": "t", "duration_s": 0.3, "request": [{"at_s": 0.1, "gear": "backward"}]}
-    assert api.run(table, ["valve.D_fall=0.02"]).shifts[0].to_gear == "backward"
+    assert api.run(table, {"valve.D_fall": np.float64(0.02)}).shifts[0].to_gear == "backward"
 
 
 def test_bad_input_is_raised() -> None:
@@ -70,7 +70,7 @@ def test_bad_input_is_raised() -> None:
 def test_simulate(tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(PLAN)
     slow, nominal = (
-        api.simulate(tmp_path, settings)[0] for settings in ({"friction_length.F_rf_p": 80.0}, ())
+        api.simulate(tmp_path, settings)[0] for settings in ({"friction_length.F_rf_p": 80.0}, {})
     )
     assert slow.arrival_s > nominal.arrival_s + 1e-4
     assert nominal.impact_speed_m_s == pytest.approx(0.94, abs=0.02)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.api import run
+from sil.files.overrides import parse_setting
 from sil.live import bench
 from sil.live.bench import SLIDERS, Asked
 from sil.simulation.in_memory import Run
@@ -32,7 +33,7 @@ def computed(shown: dict[str, Any]) -> Run:
         return run(tomllib.loads(shown["toml"]))
     words = shlex.split(shown["command"])
     assert words[:2] == ["opc4", "run"]
-    return run(words[2], [word for word in words[3:] if word != "--set"])
+    return run(words[2], dict(parse_setting(word) for word in words[3:] if word != "--set"))
 
 
 @st.composite

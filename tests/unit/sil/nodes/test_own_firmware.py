@@ -42,7 +42,7 @@ def test_it_is_found_beside_the_scenario_and_from_the_command_line(
     path = scenario_with(tmp_path, OURS, "own.py:Mine")
     assert load(str(path)).scenario.firmware == f"{tmp_path / 'own.py'}:Mine"
     monkeypatch.chdir(tmp_path)
-    set_there = load("lab_n_b", settings=['firmware="own.py:Mine"'])
+    set_there = load("lab_n_b", settings={"firmware": "own.py:Mine"})
     assert set_there.scenario.firmware == f"{tmp_path / 'own.py'}:Mine"
 
 

@@ -116,8 +116,8 @@ def test_what_the_checks_of_the_frames_found_is_counted() -> None:
 
 def test_an_overloaded_bus_needs_a_limit_of_what_waits() -> None:
     with pytest.raises(InputError, match=r"bus\.send_buffer: missing"):
-        load_scenario.load("lab_n_b", settings=["bus.extra_load=1.2"])
-    assert load_scenario.load("lab_n_b", settings=["bus.extra_load=1.2", "bus.send_buffer=8"])
+        load_scenario.load("lab_n_b", settings={"bus.extra_load": 1.2})
+    assert load_scenario.load("lab_n_b", settings={"bus.extra_load": 1.2, "bus.send_buffer": 8})
 
 
 def sent_by(driver: DriverNode, end_ms: int) -> list[tuple[int, Frame]]:

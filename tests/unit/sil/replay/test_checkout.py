@@ -100,7 +100,7 @@ def test_the_controller_of_a_checkout_answers_as_our_own_does() -> None:
 def test_a_scenario_runs_with_the_firmware_of_a_checkout() -> None:
     ours, theirs = (
         run_in_memory(load("lab_n_b", settings=settings))
-        for settings in ((), [f'firmware="{ROOT}"'])
+        for settings in ({}, {"firmware": str(ROOT)})
     )
     assert theirs.scenario.firmware == str(ROOT)
     assert theirs.trace_sha256 == ours.trace_sha256

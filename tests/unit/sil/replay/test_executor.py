@@ -118,7 +118,7 @@ def test_one_changed_input_is_found_with_its_time(tmp_path: Path) -> None:
 
 def test_ignoring_all_that_differs_leaves_no_difference() -> None:
     names = ["ControllerStatus.*", "Etc?.*", "ValveCommand.*", "SafetyBlow.*"]
-    request = ReplayRequest(str(golden("lab_n_b")), settings=["controller.filter=false"])
+    request = ReplayRequest(str(golden("lab_n_b")), settings={"controller.filter": False})
     assert replay(request).differs
     ignoring = ReplayRequest(request.log, settings=request.settings, options=Options(ignore=names))
     assert not replay(ignoring).differs
@@ -152,7 +152,7 @@ def test_an_odd_period_of_a_known_run_is_that_of_the_run(tmp_path: Path) -> None
 
 
 def test_another_period_is_compared_in_time(tmp_path: Path) -> None:
-    request = ReplayRequest(str(golden("lab_n_b")), settings=["controller.period_s=0.005"])
+    request = ReplayRequest(str(golden("lab_n_b")), settings={"controller.period_s": 0.005})
     found = replay(request)
     assert found.steps == 2 * 69 + 1
     edges = found.comparison.matched_edges()[0]

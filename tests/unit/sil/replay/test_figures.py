@@ -10,7 +10,7 @@ from sil.replay.replay import ReplayRequest, replay
 from sil.report.figure import Series
 from tests.unit.sil.replay.golden_logs import golden
 
-FOUND = replay(ReplayRequest(str(golden("full_shift")), settings=["controller.filter=false"]))
+FOUND = replay(ReplayRequest(str(golden("full_shift")), settings={"controller.filter": False}))
 
 
 def test_both_shifts_are_on_the_axis_once() -> None:

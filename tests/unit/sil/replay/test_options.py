@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
+from sil.files.overrides import Settings
 from sil.replay.options import find_settings
 from sil.replay.tick_grid import survey
 from sil.simulation import load_scenario, scenario
@@ -32,7 +33,7 @@ def test_without_a_run_the_periods_are_those_of_the_log(tmp_path: Path) -> None:
 
 def test_the_run_beside_the_log_gives_its_settings(tmp_path: Path) -> None:
     log = result(tmp_path, "strategy_predictive")
-    found = find_settings(str(log), FOUND, settings=["controller.period_s=0.005"])
+    found = find_settings(str(log), FOUND, settings={"controller.period_s": 0.005})
     assert found.own_run
     assert found.loaded.scenario.controller.strategy == "predictive"
     assert found.loaded.scenario.controller.period_ns == 5_000_000
@@ -66,13 +67,12 @@ def test_another_runs_result_gives_its_firmware(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        (["valve.D_fall=0.01"], "valve.D_fall: not of the firmware"),
-        (["controller.filtre=false"], "expected one of controller.filter"),
-        (["controller.period_s=1.0"], "controller.period_s"),
-        (["controller.period_s"], "no value"),
+        ({"valve.D_fall": 0.01}, "valve.D_fall: not of the firmware"),
+        ({"controller.filtre": False}, "expected one of controller.filter"),
+        ({"controller.period_s": 1.0}, "controller.period_s"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(settings: list[str], complaint: str) -> None:
+def test_settings_that_cannot_be_are_refused(settings: Settings, complaint: str) -> None:
     with pytest.raises(InputError) as refused:
         find_settings("a.log", FOUND, settings=settings)
     assert complaint in str(refused.value)

@@ -12,7 +12,7 @@ from sil.replay.replay import ReplayRequest, replay
 from sil.replay.summary import as_dict, summary_lines, text
 from tests.unit.sil.replay.golden_logs import golden
 
-FOUND = replay(ReplayRequest(str(golden("full_shift")), settings=["controller.filter=false"]))
+FOUND = replay(ReplayRequest(str(golden("full_shift")), settings={"controller.filter": False}))
 SAME = replay(ReplayRequest(str(golden("full_shift"))))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from sil.files.overrides import NO_SETTINGS, Settings
 from sil.j1939.mapping import SignalMapping
 from sil.logs import LogFrame
 from sil.replay.truck_log import TruckLog
@@ -34,7 +35,7 @@ def of(shift: MadeShift, **changes: object) -> RecordedShift:
     return recorded(replace(ONE, drive=(shift,), end_ms=shift.end_ms + 2_500, **changes).frames())
 
 
-def ours(found: RecordedShift, *settings: str) -> OurShift:
+def ours(found: RecordedShift, settings: Settings = NO_SETTINGS) -> OurShift:
     return simulate(found, inputs_of(found), "truck.log", {}, settings)
 
 
@@ -103,7 +104,7 @@ def test_a_slow_engine_leaves_more_to_the_cone() -> None:
     assert slow.peak_rad_s2 is not None and fast.peak_rad_s2 is not None
     patient = ours(
         of(replace(SHIFT, fall_to_ms=1_100, in_ms=1_160, back_ms=1_400)),
-        "controller.shift.wait_for_sync=true",
+        {"controller.shift.wait_for_sync": True},
     )
     hasty = ours(of(replace(SHIFT, fall_to_ms=1_100, in_ms=1_160, back_ms=1_400)))
     assert patient.peak_rad_s2 is not None and hasty.peak_rad_s2 is not None
@@ -134,7 +135,7 @@ def test_from_neutral_ours_waits_for_the_recorded_speeds() -> None:
 
 def test_a_gear_that_is_not_reached_is_said() -> None:
     found = of(SHIFT)
-    stuck = ours(found, "plant.pull_force_n=90000")
+    stuck = ours(found, {"plant.pull_force_n": 90000})
     assert (not stuck.reached and "SHIFT_TIMEOUT" in stuck.faults) or "SENSOR_STUCK" in stuck.faults
     shift = ComparedShift(1, found, inputs_of(found), [stuck])
     assert verdict(shift) == [f"ours does not reach the gear ({stuck.faults})"]
@@ -148,7 +149,7 @@ def test_the_same_bits_at_every_run() -> None:
 
 def test_a_wrong_setting_is_refused() -> None:
     with pytest.raises(InputError, match="expected one of"):
-        ours(of(SHIFT), "controller.stratgy=open_loop")
+        ours(of(SHIFT), {"controller.stratgy": "open_loop"})
 
 
 def test_our_own_bus_read_as_a_truck_s_gives_our_own_times() -> None:

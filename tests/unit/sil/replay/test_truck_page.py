@@ -16,7 +16,7 @@ from tests.unit.sil.replay.truck_synthesis import DRIVE, Truck, write_log
 def replay(tmp_path_factory: pytest.TempPathFactory) -> TruckReplay:
     log = write_log(tmp_path_factory.mktemp("log") / "truck.log", Truck().frames())
     found = truck_replay.replay_truck(
-        open_logs([log]), settings=("controller.shift.wait_for_sync=true",)
+        open_logs([log]), settings={"controller.shift.wait_for_sync": True}
     )
     assert found is not None and len(found.shifts) == len(DRIVE)
     return found

@@ -11,13 +11,13 @@ from sil.simulation.impacts import counted, worst_speed_m_s
 from sil.simulation.in_memory import Run, run_in_memory
 from tests.unit.sil import made_run
 
-BLOW_INSIDE = [
-    "controller.strategy_parameters.trigger_m=0.001",
-    "controller.strategy_parameters.lead_s=0.012",
-    "controller.strategy_parameters.burst_s=0.015",
-    "controller.windows.gear_tolerance_m=0.0015",
-    "duration_s=0.35",
-]
+BLOW_INSIDE = {
+    "controller.strategy_parameters.trigger_m": 0.001,
+    "controller.strategy_parameters.lead_s": 0.012,
+    "controller.strategy_parameters.burst_s": 0.015,
+    "controller.windows.gear_tolerance_m": 0.0015,
+    "duration_s": 0.35,
+}
 """A cushion that stops the stay softly, after its piston was thrown onto the nut."""
 
 

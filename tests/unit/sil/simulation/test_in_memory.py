@@ -24,6 +24,6 @@ def test_same_hash_and_metrics_as_the_run_on_disk(name: str, tmp_path: Path) -> 
 
 def test_another_valve_is_another_run() -> None:
     plain = run_in_memory(load("lab_n_b"))
-    slow = run_in_memory(load("lab_n_b", settings=["valve.D_rise=0.012"]))
+    slow = run_in_memory(load("lab_n_b", settings={"valve.D_rise": 0.012}))
     assert plain.trace_sha256 != slow.trace_sha256
     assert slow.shifts[0].arrived_s == pytest.approx(plain.shifts[0].arrived_s + 0.004, abs=1e-6)

@@ -23,13 +23,13 @@ def test_every_shipped_scenario_survives(name: str) -> None:
 
 
 def test_settings_faults_and_strategy_parameters_survive() -> None:
-    settings = [
-        "valve.D_fall=0.0123",
-        "controller.strategy='air_cushion'",
-        "controller.strategy_parameters.patience_s=0.05",
-        "controller.filter=false",
-        "effect.added_mass.mass_kg=0.25",
-    ]
+    settings = {
+        "valve.D_fall": 0.0123,
+        "controller.strategy": "air_cushion",
+        "controller.strategy_parameters.patience_s": 0.05,
+        "controller.filter": False,
+        "effect.added_mass.mass_kg": 0.25,
+    }
     before = load("bus_off", settings=settings)
     text = scenario_toml(before.scenario)
     again = from_table(tomllib.loads(text), "text")

@@ -11,11 +11,11 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
+from sil.files.overrides import setting_texts
 from sil.studies import executor
 from sil.studies.executor import run_study
 from sil.studies.figures import choices_figure
 from sil.studies.load_study import load_study, shipped
-from sil.studies.study import texts_of
 from sil.studies.table import RESULTS, read_table
 
 GRID = """
@@ -115,7 +115,7 @@ def test_a_row_is_what_the_run_gives(tmp_path: Path) -> None:
     rows = table(out)
     assert len(rows) == 4
     last = list(study.rows())[-1]
-    settings = [part for text in texts_of(last.settings) for part in ("--set", text)]
+    settings = [part for text in setting_texts(last.settings) for part in ("--set", text)]
     assert main(["run", "lab_n_b", *settings, "--out", str(tmp_path / "run")]) in (0, 1)
     metrics = json.loads((tmp_path / "run" / "result.json").read_text())["metrics"]
     for name in ("shift_time_s", "impact_speed_m_s", "air_used_kg"):

@@ -13,7 +13,7 @@ from plant.parameters import load as load_parameters
 from sil.simulation.load_scenario import load
 from sil.studies.kinds import budget as budgets
 from sil.studies.kinds.budget import BARS, THESIS_DELAYS_S, NoBudgetError, budget_of, simulated
-from sil.studies.study import Settings, texts_of
+from sil.studies.study import Settings
 
 
 @pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])
@@ -28,7 +28,7 @@ def test_group_delay_is_the_slope_of_the_phase(order: int, fc_hz: float) -> None
 
 
 def latency_budget(scenario: str, settings: Settings | None = None) -> dict[str, float]:
-    return budget_of(lambda each: load(scenario, settings=texts_of(each)), settings or {})
+    return budget_of(lambda each: load(scenario, settings=each), settings or {})
 
 
 @pytest.mark.parametrize("supply_pa", [6e5, 9e5])

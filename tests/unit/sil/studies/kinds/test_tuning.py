@@ -13,11 +13,11 @@ from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded, load
 from sil.studies.kinds import tuning
 from sil.studies.kinds.tuning import Arrival, TuningTable
-from sil.studies.study import Settings, texts_of
+from sil.studies.study import Settings
 
 
 def lab(settings: Settings) -> Loaded:
-    return load("lab_n_b", settings=texts_of(settings))
+    return load("lab_n_b", settings=settings)
 
 
 QUICK: Settings = {
