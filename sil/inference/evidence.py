@@ -12,18 +12,7 @@ from scipy.special import chdtri
 
 from sil.inference.fit import FitResult
 from sil.inference.problem import Floats, Problem
-
-EXPLAINED = 1.25
-"""Residual over expected noise up to which noise explains it: the noise is an estimate itself."""
-
-DETAIL = 0.02
-"""Excess per number that is a detail, unless a channel by itself is far off: see `LOCAL`."""
-
-LOCAL = 1.0
-"""Excess per number of one channel that is no detail, although a channel of few numbers counts little."""
-
-STRAIN_LEVEL = 1e-6
-"""How rarely the scatter of healthy strokes, or a unit's tolerances, may come out so wide."""
+from sil.inference.thresholds import LIMITS
 
 
 @dataclass(frozen=True)
@@ -69,8 +58,8 @@ class Misfit:
     @property
     def detail(self) -> float:
         """Excess beyond the band that is a detail: none if a channel by itself is far off."""
-        is_local = any(item.beyond > LOCAL for item in self.channels.values())
-        return 0.0 if is_local else DETAIL * self.count
+        is_local = any(item.beyond > LIMITS.max_channel_excess for item in self.channels.values())
+        return 0.0 if is_local else LIMITS.max_detail_per_number * self.count
 
     @property
     def rms(self) -> float:
@@ -110,6 +99,6 @@ def strained(fit: FitResult) -> bool:
     scatter = np.sum(fit.stroke[list(fit.use)] ** 2, axis=0)
     unit = float(np.sum(fit.shared[: fit.layout.healthy] ** 2))
     return bool(
-        np.any(scatter > chdtri(len(fit.use), STRAIN_LEVEL))
-        or unit > chdtri(fit.layout.healthy, STRAIN_LEVEL)
+        np.any(scatter > chdtri(len(fit.use), LIMITS.min_strain_probability))
+        or unit > chdtri(fit.layout.healthy, LIMITS.min_strain_probability)
     )

@@ -18,7 +18,7 @@ Checked by: tests/unit/sil/inference/test_verdict.py
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
@@ -27,62 +27,14 @@ import numpy as np
 from plant.effects.term import term
 from plant.errors import IntegrationError
 from sil.inference.candidate import Candidate
-from sil.inference.evidence import EXPLAINED, Misfit, misfit
+from sil.inference.evidence import Misfit, misfit
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.problem import Floats
+from sil.inference.thresholds import LIMITS, Thresholds
 from sil.inference.workers import fitted
 
 UNNAMED = term.id
 """The cause of a non-parametric term, and the verdict that one acts."""
-
-CLAIM = 15.0
-"""Least gain in score (log evidence) of a cause; see `false_alarm` for how it was chosen."""
-
-CLAIM_PER_STROKE = 1.5
-"""... and least gain per stroke: an effect that changes next to nothing is not claimed."""
-
-RIVAL_SHARE = 0.05
-"""A cause at least this probable is, with the leading one, is a rival."""
-
-CONTEST = 0.02
-"""An explanation without a cause replaces it only if it is at least this probable, against the likeliest."""
-
-CLEAR = 0.7
-"""Below this probability of the leading cause the verdict is ambiguous."""
-
-SUREST = 0.98
-"""No cause is given more: the catalogue itself may be wrong."""
-
-SECOND_SHARE = 0.3
-"""A further cause must gain at least this share of what the whole hypothesis still leaves."""
-
-SLIGHT = 0.1
-"""A further cause below this many typical sizes is doubted while something is unexplained ..."""
-
-SLIGHT_SHARE = 0.02
-"""... and not claimed at all if it gains less than this share of what the healthy model leaves: it
-corrects the form of the other one's extension."""
-
-EXACT = 0.005
-"""Share of what a cause does to which its form is trusted: a further one that gains less than that error
-would leave corrects the form of the first."""
-
-LEFT = (0.005, 0.05)
-"""Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
-the second on it is likelier that none of the named acts."""
-
-DOUBTED = 0.45
-"""Most that a named cause is given then."""
-
-LEAST_SHARE = 0.5
-"""An explanation that leaves more than this share of the healthy model's misfit, not explained by
-noise, is none."""
-
-EFFECTIVE = 10.0
-"""Effective observations nu of the model error."""
-
-PAIR_PRIOR = 0.1
-"""Prior odds of two causes at once against one."""
 
 
 class Explanation(Protocol):
@@ -221,10 +173,10 @@ def weigh(judged: Sequence[Explanation]) -> None:
         return
     leader = min(judged, key=lambda item: item.score)
     error = 0.5 * leader.whole.beyond
-    nu = EFFECTIVE
+    nu = LIMITS.effective_observations
     logs = np.array(
         [
-            np.log(PAIR_PRIOR if len(item.ids) > 1 else 1.0)
+            np.log(LIMITS.pair_prior if len(item.ids) > 1 else 1.0)
             - 0.5 * nu * np.log1p(2.0 * (item.score - leader.score + error) / nu)
             for item in judged
         ]
@@ -249,7 +201,7 @@ class Verdict(Generic[E]):
     """What is concluded, before figures are put to it.
 
     leader: the accepted hypothesis; claimed: its causes that are claimed; probabilities: of
-    every cause at least RIVAL_SHARE probable; gains: score lost by leaving a claimed cause out.
+    every cause at least LIMITS.min_rival_probability probable; gains: score lost by leaving a claimed cause out.
     """
 
     kind: str
@@ -278,7 +230,10 @@ def acceptable(item: Judged) -> bool:
     own = fit.layout.effect_slice
     deviation = np.diag(fit.covariance)[own] ** 0.5
     sizes = _sizes_of(fit, fit.scaled / deviation)
-    return all(candidate.physical(values) and size >= 2.0 for candidate, values, size in sizes)
+    return all(
+        candidate.physical(values) and size >= LIMITS.min_deviations
+        for candidate, values, size in sizes
+    )
 
 
 def _gains_of(leader: E, judged: Sequence[E], name: str) -> tuple[float, float]:
@@ -291,52 +246,88 @@ def _gains_of(leader: E, judged: Sequence[E], name: str) -> tuple[float, float]:
     return gain, without.held_cost - leader.held_cost
 
 
-def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
+@dataclass(frozen=True)
+class Conclusion:
+    """What a verdict is decided from: the probabilities of the claimed causes, and what forbids them.
+
+    undecidable: why nothing can be concluded, empty if something can; unexplained: noise does not
+    explain what the claimed causes leave, and they depend on how that is described.
+    """
+
+    claimed: Mapping[str, float]
+    undecidable: str = ""
+    unexplained: bool = False
+    has_rivals: bool = False
+
+
+def _nothing_named_explains(one: Conclusion, limits: Thresholds) -> bool:
+    surest = max(one.claimed.values(), default=0.0)
+    share = one.claimed.get(UNNAMED, 0.0)
+    return one.unexplained or share >= max(0.5, surest - 1e-9)
+
+
+def _a_cause_is_in_doubt(one: Conclusion, limits: Thresholds) -> bool:
+    return one.has_rivals or min(one.claimed.values()) < limits.min_named_probability
+
+
+RULES: tuple[tuple[Callable[[Conclusion, Thresholds], bool], str], ...] = (
+    (lambda one, limits: bool(one.undecidable), "cannot_tell"),
+    (lambda one, limits: not one.claimed and not one.unexplained, "consistent"),
+    (_nothing_named_explains, UNNAMED),
+    (_a_cause_is_in_doubt, "ambiguous"),
+    (lambda one, limits: True, "named"),
+)
+"""The verdict is that of the first rule that holds."""
+
+
+def kind_of(one: Conclusion, limits: Thresholds = LIMITS) -> str:
+    """Return the verdict: consistent, named, ambiguous, unnamed or cannot_tell."""
+    return next(kind for holds, kind in RULES if holds(one, limits))
+
+
+def decide(judged: Sequence[E], blocks: int) -> Verdict[E]:
     """Return the verdict on judged hypotheses (the healthy one among them; weighed already)."""
     healthy = next(item for item in judged if not item.ids)
-    least = max(CLAIM, CLAIM_PER_STROKE * strokes)
-
-    def is_accepted(item: E) -> bool:
-        most = LEAST_SHARE * healthy.whole.excess
-        if item.whole.excess > most and item.whole.rms > EXPLAINED:
-            return not item.ids
-        needed = least
-        if len(item.ids) > 1:
-            inexact = 0.5 * EXACT**2 * healthy.whole.excess
-            needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond, inexact)
-        for name in item.ids:
-            gain, held = _gains_of(item, judged, name)
-            if gain < needed or held <= 0.0:
-                return False
-            if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in item.slight:
-                return False
-        return True
-
-    leader = min(filter(is_accepted, judged), key=lambda i: i.score, default=healthy)
+    accepted = (item for item in judged if _is_accepted(item, healthy, judged, blocks))
+    leader = min(accepted, key=lambda item: item.score, default=healthy)
     if not leader.ids:
-        return Verdict("consistent", healthy, healthy)
+        return Verdict(kind_of(Conclusion({})), healthy, healthy)
     probabilities = by_cause(judged)
-    gains = {name: _gains_of(leader, judged, name)[0] for name in leader.ids}
     groups = _rivals_of(leader, judged, probabilities)
     most = _surest_of(leader, healthy)
     stated = {
         name: p if name == UNNAMED else min(p, most)
         for name, p in probabilities.items()
-        if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
+        if name in leader.ids
+        or (p >= LIMITS.min_rival_probability and any(name in group for group in groups))
     }
     if leader.whole.beyond > 0.0:
         for name in leader.slight:
-            stated[name] = min(stated[name], DOUBTED)
+            stated[name] = min(stated[name], LIMITS.max_doubted_probability)
     if UNNAMED in leader.ids:
-        stated[UNNAMED] = min(max(stated[UNNAMED], 1.0 - most), SUREST)
-    surest = max(stated.values())
-    if UNNAMED in leader.ids and stated[UNNAMED] >= max(0.5, surest - 1e-9):
-        kind = UNNAMED
-    elif any(stated[name] < CLEAR for name in leader.ids):
-        kind = "ambiguous"
-    else:
-        kind = "named"
-    return Verdict(kind, leader, healthy, leader.ids, stated, gains, groups)
+        stated[UNNAMED] = min(max(stated[UNNAMED], 1.0 - most), LIMITS.max_probability)
+    conclusion = Conclusion({name: stated[name] for name in leader.ids})
+    gains = {name: _gains_of(leader, judged, name)[0] for name in leader.ids}
+    return Verdict(kind_of(conclusion), leader, healthy, leader.ids, stated, gains, groups)
+
+
+def _is_accepted(item: E, healthy: E, judged: Sequence[E], blocks: int) -> bool:
+    """Return whether a hypothesis explains enough, and each of its causes gains enough."""
+    most = LIMITS.max_unexplained_share * healthy.whole.excess
+    if item.whole.excess > most and item.whole.rms > LIMITS.max_residual_ratio:
+        return not item.ids
+    needed = LIMITS.needed_gain(blocks)
+    if len(item.ids) > 1:
+        inexact = 0.5 * LIMITS.form_error**2 * healthy.whole.excess
+        needed = max(needed, 0.5 * LIMITS.min_share_of_rest * item.whole.beyond, inexact)
+    for name in item.ids:
+        gain, held_out_gain = _gains_of(item, judged, name)
+        if gain < needed or held_out_gain <= 0.0:
+            return False
+        slight = 0.5 * LIMITS.min_slight_share * healthy.whole.excess
+        if gain < slight and name in item.slight:
+            return False
+    return True
 
 
 def _surest_of(leader: Explanation, healthy: Explanation) -> float:
@@ -346,12 +337,18 @@ def _surest_of(leader: Explanation, healthy: Explanation) -> float:
     named cause may be no more than a stepping stone.
     """
     if UNNAMED in leader.ids:
-        return DOUBTED
+        return LIMITS.max_doubted_probability
     left = leader.whole.beyond / max(healthy.whole.excess, 1e-9)
-    if leader.whole.beyond <= leader.whole.detail or left <= LEFT[0]:
-        return SUREST
-    doubt = min(1.0, np.log(left / LEFT[0]) / np.log(LEFT[1] / LEFT[0]))
-    return float(SUREST - (SUREST - DOUBTED) * doubt)
+    if leader.whole.beyond <= leader.whole.detail or left <= LIMITS.doubt_from_share:
+        return LIMITS.max_probability
+    doubt = min(
+        1.0,
+        np.log(left / LIMITS.doubt_from_share)
+        / np.log(LIMITS.doubt_to_share / LIMITS.doubt_from_share),
+    )
+    return float(
+        LIMITS.max_probability - (LIMITS.max_probability - LIMITS.max_doubted_probability) * doubt
+    )
 
 
 def slight_causes(item: Judged) -> tuple[str, ...]:
@@ -361,7 +358,7 @@ def slight_causes(item: Judged) -> tuple[str, ...]:
     return tuple(
         candidate.id
         for candidate, _values, size in _sizes_of(item.training, item.training.scaled)
-        if candidate.effect.sized_by != "none" and size < SLIGHT
+        if candidate.effect.sized_by != "none" and size < LIMITS.slight_size
     )
 
 
@@ -370,14 +367,16 @@ def _rivals_of(
 ) -> tuple[tuple[str, ...], ...]:
     """Return groups that the data cannot distinguish: each claimed cause with what may replace it."""
     groups = []
-    least = CONTEST * max(item.probability for item in judged)
+    least = LIMITS.min_contest_share * max(item.probability for item in judged)
     for name in leader.ids:
         rest = set(leader.ids) - {name}
         group = {name}
         for item in judged:
             if name not in item.ids and item.probability >= least:
                 group |= {
-                    other for other in set(item.ids) - rest if probabilities[other] >= RIVAL_SHARE
+                    other
+                    for other in set(item.ids) - rest
+                    if probabilities[other] >= LIMITS.min_rival_probability
                 }
         if len(group) > 1:
             groups.append(tuple(sorted(group, key=lambda n: -probabilities[n])))

@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 
 from sil.files.quantity import counted
-from sil.inference.verdict import RIVAL_SHARE, UNNAMED
+from sil.inference.thresholds import LIMITS
+from sil.inference.verdict import UNNAMED
 from sil.shift_diagnosis.fit import Fit
 from sil.shift_diagnosis.linear import (
     SIZE_PRIOR,
@@ -154,7 +155,7 @@ class ShiftDiagnosis:
 def _least_reported(wrong: Mapping[str, float]) -> float:
     """Return the probability from which a cause is reported, of those that cannot be distinguished."""
     # of many causes that are alike, none may reach the usual share
-    return min(RIVAL_SHARE, 0.5 * max(wrong.values()))
+    return min(LIMITS.min_rival_probability, 0.5 * max(wrong.values()))
 
 
 def weighed(

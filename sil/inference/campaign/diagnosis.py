@@ -28,22 +28,23 @@ from sil.inference.campaign.split import odd_ones_in, split
 from sil.inference.campaign.structure import Structure, structure_of
 from sil.inference.campaign.terms import try_terms
 from sil.inference.candidate import Candidate, candidates
-from sil.inference.evidence import EXPLAINED, Misfit, misfit
+from sil.inference.evidence import Misfit, misfit
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.refused import Refusals
 from sil.inference.report import Cause, diagnosis_json
 from sil.inference.screening import Screening
 from sil.inference.search import Search
 from sil.inference.spread import Spread
+from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import (
-    CLAIM,
-    CLAIM_PER_STROKE,
+    Conclusion,
     Held,
     Judged,
     Verdict,
     acceptable,
     decide,
     judge,
+    kind_of,
     weigh,
 )
 from sil.inference.workers import spread_out
@@ -157,7 +158,7 @@ def diagnose(
     noticed = smallest_noticed(search, len(strokes)) if not verdict.claimed else {}
     unable = "" if verdict.claimed else _unable(verdict.healthy.whole, noticed, search)
     if unable:
-        verdict = replace(verdict, kind="cannot_tell")
+        verdict = replace(verdict, kind=kind_of(Conclusion({}, undecidable=unable)))
         findings.insert(0, Finding(campaign.name, "all", unable))
     causes_asked = _one_form_each(search.candidates) if plan or unable else []
     following = next_experiment(
@@ -208,7 +209,7 @@ def left_out(
 
 def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
     """Return why nothing can be concluded from a campaign in which no cause is claimed, or nothing."""
-    if whole.rms > EXPLAINED and whole.beyond > 0.0:
+    if whole.rms > LIMITS.max_residual_ratio and whole.beyond > 0.0:
         name = max(whole.channels, key=lambda name: whole.channels[name].rms)
         return (
             f"residuals are {whole.rms:.3g} times their expected scatter, most in {name} "
@@ -216,7 +217,7 @@ def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
         )
     causes = {item.id for item in search.candidates}
     sized = {name for name in noticed if float(noticed[name]["size"]) < 1.0}
-    if search.scores and 2 * len(sized) < len(causes):
+    if search.scores and len(sized) < LIMITS.min_noticeable_share * len(causes):
         return (
             f"{len(sized)} of {len(causes)} causes would be noticed at their typical size: more "
             "strokes, gauges, a higher sampling rate or less noise would help"
@@ -230,7 +231,7 @@ def smallest_noticed(search: Search, strokes: int) -> Noticed:
     In the form of the cause in which that is least, with the values of its other parameters that are
     stated. One that is missing would not have been noticed within its physical bounds.
     """
-    least = max(CLAIM, CLAIM_PER_STROKE * strokes) * len(search.training) / strokes
+    least = LIMITS.needed_gain(strokes) * len(search.training) / strokes
     found: Noticed = {}
     if not search.scores:
         return found

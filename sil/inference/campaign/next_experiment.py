@@ -38,10 +38,11 @@ from sil.inference.campaign.model import CampaignModel
 from sil.inference.campaign.observations import StrokeObservation
 from sil.inference.candidate import Candidate, scaled_of
 from sil.inference.fit import FitResult, Fitter
-from sil.inference.verdict import CLAIM, CLAIM_PER_STROKE, CONTEST, Judged, Verdict
+from sil.inference.thresholds import LIMITS
+from sil.inference.verdict import Judged, Verdict
 from sil.inference.workers import spread_out
 
-ENOUGH = CLAIM
+ENOUGH = LIMITS.min_gain
 """Log evidence at which two hypotheses count as separated."""
 SURE = 3.0
 """Log evidence that would do if the equations were exact: ENOUGH counts as this much."""
@@ -226,7 +227,7 @@ def next_experiment(
         purpose += f"{first} from {' and '.join(others)}"
     elif not verdict.claimed and causes:
         healthy = Hypothesis.of(verdict.healthy.training)
-        enough = max(CLAIM, CLAIM_PER_STROKE * (len(model.strokes) + MOST))
+        enough = LIMITS.needed_gain(len(model.strokes) + MOST)
         hidden: list[Hypothesis] = []
         for size in SIZES:
             hidden = hidden or _hidden(model, healthy, causes, size, enough, workers)
@@ -279,7 +280,7 @@ def _between(
         if not item.ids or set(item.ids) >= set(leader.ids) or len(found) == MOST_RIVALS:
             continue
         if verdict.rivals:
-            likely = item.probability >= CONTEST * leader.probability
+            likely = item.probability >= LIMITS.min_contest_share * leader.probability
             is_open = likely and not asked.isdisjoint(item.ids)
         else:  # the next best one, whatever its probability
             is_open = len(found) < 2

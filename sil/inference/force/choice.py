@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sil.inference.evidence import EXPLAINED
 from sil.inference.force.fit import SURE, Bank, Group, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import CONDITIONS
+from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import UNNAMED, Verdict, decide, weigh
 
 ALIKE = 2.0
@@ -44,7 +44,7 @@ class Choice:
     @property
     def is_explained(self) -> bool:
         """Whether noise explains what the leader leaves."""
-        return self.leader.rms_n <= EXPLAINED * self.leader.noise_n
+        return self.leader.rms_n <= LIMITS.max_residual_ratio * self.leader.noise_n
 
 
 def choose(record: Recorded) -> Choice:
@@ -93,7 +93,7 @@ def acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
         without = by_names[frozenset(item.names) - {name}]
         if gain_in_errors(item, without) < SURE:
             return False
-        if without.groups and without.rms_n <= EXPLAINED * without.noise_n:
+        if without.groups and without.rms_n <= LIMITS.max_residual_ratio * without.noise_n:
             return False  # nothing is missing: the cause corrects the form of the other one
         if item.whole.excess > (1.0 - LEAST_OF_EXCESS) * max(without.whole.excess, 0.0):
             return False

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sil.campaign.campaign import Floats
-from sil.inference.evidence import EXPLAINED
 from sil.inference.force.choice import Choice, choose
 from sil.inference.force.fit import SURE, Bank, Group
 from sil.inference.force.record import FEWEST_SAMPLES, FEWEST_STROKES, RADIUS, Recorded
-from sil.inference.verdict import CLAIM, CLAIM_PER_STROKE
+from sil.inference.thresholds import LIMITS
 
 LONGEST_S = 0.5
 SHARE_OF_PART = 8
@@ -119,8 +118,8 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
         return found if after**2 - 1.0 < (1.0 - LEAST) * (before**2 - 1.0) else None
     (before, *parts), (after, *left) = _excess(choice), _excess(found.choice)
     gain = 0.5 * choice.leader.count * (before - after)
-    least = max(CLAIM, CLAIM_PER_STROKE * len(choice.leader.squares))
-    most = [max(EXPLAINED**2 - 1.0, LEAVES * part) for part in parts]
+    least = LIMITS.needed_gain(len(choice.leader.squares))
+    most = [max(LIMITS.max_residual_ratio**2 - 1.0, LEAVES * part) for part in parts]
     explains = after <= LEAVES * before and bool(np.all(np.less_equal(left, most)))
     return found if explains and gain >= least else None
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.effects.force_term import Floats, Motion
-from sil.inference.evidence import EXPLAINED, ChannelMisfit, Misfit
+from sil.inference.evidence import ChannelMisfit, Misfit
 from sil.inference.force.products import jackknife, products, solved
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import (
@@ -29,6 +29,7 @@ from sil.inference.force.terms import (
     hats,
     named_terms,
 )
+from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import UNNAMED, Explanation
 
 VISCOUS = "viscous_n_s_m"
@@ -115,7 +116,10 @@ class Tried(Explanation):
     def whole(self) -> Misfit:
         """Misfit against noise and the scatter between strokes."""
         rms = self.over_noise
-        band = max(EXPLAINED, min(3.0, EXPLAINED * self.expected_n / self.noise_n))
+        band = max(
+            LIMITS.max_residual_ratio,
+            min(3.0, LIMITS.max_residual_ratio * self.expected_n / self.noise_n),
+        )
         channel = ChannelMisfit(rms, round(self.count), band)
         excess = self.count * (rms**2 - 1.0)
         return Misfit({"force_n": channel}, excess, self.count * (band**2 - 1.0), round(self.count))

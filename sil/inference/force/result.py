@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from sil.inference.campaign.residuals import Gain
-from sil.inference.evidence import EXPLAINED
 from sil.inference.force.fit import BODY, POSITIVE, SURE, Bank, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.report import Cause, Interval, diagnosis_json
-from sil.inference.verdict import DOUBTED, SUREST, UNNAMED, Verdict, by_cause
+from sil.inference.thresholds import LIMITS
+from sil.inference.verdict import UNNAMED, Conclusion, Verdict, by_cause, kind_of
 
 ROBUST = 0.9
 """Most that a cause is given next to a residual; descriptions of the residual must leave it as it is."""
@@ -64,14 +64,13 @@ class ForceDiagnosis:
     @property
     def verdict(self) -> str:
         """One of the verdicts of a diagnosis; a residual beyond the noise is never consistent."""
-        claimed = self.verdict_.claimed
-        if self.doubts:
-            return "cannot_tell"
+        verdict, doubts = self.verdict_, "; ".join(self.doubts)
+        probabilities = {name: verdict.probabilities[name] for name in verdict.claimed}
         if self.leader.whole.beyond == 0.0:
-            return self.verdict_.kind
-        if claimed and set(claimed) == set(self.robust):
-            return "ambiguous" if self.verdict_.rivals else "named"
-        return UNNAMED
+            return kind_of(Conclusion(probabilities, doubts))
+        robust = dict.fromkeys(self.robust, ROBUST)
+        unexplained = set(robust) != set(verdict.claimed) or not robust
+        return kind_of(Conclusion(robust, doubts, unexplained, bool(verdict.rivals)))
 
     def body(self) -> dict[str, Interval]:
         """Return the body's parameters."""
@@ -95,7 +94,9 @@ class ForceDiagnosis:
                 item = next(other for other in self.judged if name in other.ids)
             probability = stated
             if rest and name != UNNAMED:
-                probability = min(shares[name], ROBUST if name in self.robust else DOUBTED)
+                probability = min(
+                    shares[name], ROBUST if name in self.robust else LIMITS.max_doubted_probability
+                )
             found.append(self._cause(name, item, probability))
         if rest and UNNAMED not in self.leader.ids:
             found.append(self._unexplained())
@@ -153,7 +154,7 @@ class ForceDiagnosis:
         return Cause(
             UNNAMED,
             cause_class,
-            SUREST,
+            LIMITS.max_probability,
             {"force_rms_n": Interval(value, low, high, self.record.units.get("N", "N"))},
             f"{besides}a force of {value:.3g} N rms that no named cause explains: the held-out residual is "
             f"{self.over_noise(item):.3g} times the noise of {item.noise_n:.3g} N "
@@ -194,7 +195,7 @@ class ForceDiagnosis:
             self.findings(),
             f"a cause gains at least 15 and 1.5 a group of strokes in log evidence on held-out strokes, "
             f"{SURE:g} standard errors over them, and has a physical sign; explained: a residual of at "
-            f"most {EXPLAINED:g} times the noise; measured by python -m tests.bench bodies",
+            f"most {LIMITS.max_residual_ratio:g} times the noise; measured by python -m tests.bench bodies",
             rivals=[list(group) for group in self.verdict_.rivals],
             gain=gain.as_json(),
             body={name: item.as_json() for name, item in self.body().items()},

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plant.parameters import Parameter, ParameterSet
-from sil.inference.evidence import EXPLAINED
 from sil.inference.model_file import model_file
+from sil.inference.thresholds import LIMITS
 from sil.report.figure import Figure
 
 
@@ -53,7 +53,7 @@ class Identified:
     @property
     def fits(self) -> bool:
         """Whether the expected noise explains the residual."""
-        return self.over_noise <= EXPLAINED
+        return self.over_noise <= LIMITS.max_residual_ratio
 
     @property
     def judgement(self) -> str:
@@ -62,7 +62,7 @@ class Identified:
         if self.fits:
             return f"the model fits: {size}"
         return (
-            f"the model does not fit: {size} (at most {EXPLAINED:g} if noise explains it); the values "
+            f"the model does not fit: {size} (at most {LIMITS.max_residual_ratio:g} if noise explains it); the values "
             "are its best fit, their intervals are withheld"
         )
 

@@ -11,7 +11,8 @@ from plant.effects import CATALOGUE
 from plant.errors import IntegrationError
 from sil.inference.evidence import ChannelMisfit, Misfit
 from sil.inference.refused import Refusals
-from sil.inference.verdict import EFFECTIVE, Held, by_cause, decide, judge, slight_causes, weigh
+from sil.inference.thresholds import LIMITS
+from sil.inference.verdict import Held, by_cause, decide, judge, slight_causes, weigh
 
 
 def entry(
@@ -48,7 +49,9 @@ def weighed(*entries: SimpleNamespace) -> list[float]:
 
 def test_close_scores_without_misfit_follow_their_evidence() -> None:
     one, two = weighed(entry(100.0, 0.0, "a"), entry(100.5, 0.0, "b"))
-    expected = (1.0 + 2.0 * 0.5 / EFFECTIVE) ** (-EFFECTIVE / 2.0)
+    expected = (1.0 + 2.0 * 0.5 / LIMITS.effective_observations) ** (
+        -LIMITS.effective_observations / 2.0
+    )
     assert two / one == pytest.approx(expected)
     assert expected == pytest.approx(np.exp(-0.5), rel=0.05)
 

@@ -1,0 +1,66 @@
+"""Every limit of a verdict, in one record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Limits of a verdict.
+
+    Calibrated by `python -m tests.bench hidden_effects` (campaigns) and `python -m tests.bench bodies`
+    (force rigs); their counts are in docs/explanation/accuracy.md.
+    """
+
+    max_residual_ratio: float = 1.25
+    """Residual over expected noise that noise explains: the noise is an estimate itself."""
+    max_detail_per_number: float = 0.02
+    """Excess of chi squared per number that is a detail, if no channel is far off by itself."""
+    max_channel_excess: float = 1.0
+    """Excess per number of one channel from which it is far off, however few numbers it has."""
+    min_strain_probability: float = 1e-6
+    """How rarely healthy scatter or tolerances may come out so wide."""
+    min_gain: float = 15.0
+    """Log evidence that a cause gains at least, ..."""
+    min_gain_per_block: float = 1.5
+    """... and at least per block: an effect that changes next to nothing is not claimed."""
+    min_deviations: float = 2.0
+    """Standard deviations by which a cause's main parameter excludes its neutral value."""
+    max_unexplained_share: float = 0.5
+    """Share of the healthy misfit that an explanation may leave, if noise does not explain the rest."""
+    min_share_of_rest: float = 0.3
+    """Share of what a hypothesis still leaves that a further cause gains at least."""
+    form_error: float = 0.005
+    """Share of what a cause does to which its form is trusted: a further cause gains more than that."""
+    slight_size: float = 0.1
+    """Typical sizes below which a further cause is slight, ..."""
+    min_slight_share: float = 0.02
+    """... and gains at least this share of the healthy misfit: else it corrects the first one's form."""
+    min_rival_probability: float = 0.05
+    """A cause that may replace the leading one is at least so probable."""
+    min_contest_share: float = 0.02
+    """An explanation that contests the leader is at least so probable, against the likeliest."""
+    min_named_probability: float = 0.7
+    """From here on a cause is named."""
+    max_probability: float = 0.98
+    """No cause is given more: the catalogue itself may be wrong."""
+    max_doubted_probability: float = 0.45
+    """Most that a cause in doubt is given."""
+    doubt_from_share: float = 0.005
+    """Share of the healthy misfit, left by the leader, from which its causes are doubted, ..."""
+    doubt_to_share: float = 0.05
+    """... and from which on they are given `max_doubted_probability`."""
+    effective_observations: float = 10.0
+    """Effective observations of the model's error."""
+    pair_prior: float = 0.1
+    """Prior odds of two causes at once against one."""
+    min_noticeable_share: float = 0.5
+    """Share of the catalogue that would be noticed at its typical size, for data that can tell."""
+
+    def needed_gain(self, blocks: int) -> float:
+        """Return the log evidence that a cause gains at least on so many blocks."""
+        return max(self.min_gain, self.min_gain_per_block * blocks)
+
+
+LIMITS = Thresholds()
