@@ -97,7 +97,7 @@ def _recorded(loaded: Loaded, folder: Path) -> list[Check]:
 
     why: str | None = "the run did not finish"
     try:
-        finished = runner.run(loaded, prepare_folder(folder, loaded.scenario.name, True, True))
+        finished = runner.run(loaded, prepare_folder(folder, loaded.scenario.name, True))
         if not finished.result.complete:
             raise RunError(finished.result.why or why)
         write_report(finished, folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import argparse
 import codecs
 import errno
@@ -13,15 +12,13 @@ import os
 import re
 import signal
 import sys
-import time
 from collections.abc import Sequence
-from types import FrameType
 from typing import Any, NoReturn
 
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 
-LONGEST_ERROR = 1000
 _STDOUT = "standard output"
+_ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
@@ -48,10 +45,10 @@ commands:
 {commands}
 
 exit codes: 0 done and passed, 1 an expectation failed or a difference was found,
-            2 bad input or usage, 3 a participant died or the run could not finish
+            2 bad input or usage, 3 a participant died or the run could not finish,
+            130 interrupted by Ctrl-C, 143 ended by SIGTERM
 
-opc4 COMMAND --help describes a command, with an example; opc4 --version prints the version;
-opc4 --completion bash|zsh|fish prints the shell's completion of commands, options and scenarios.
+opc4 COMMAND --help describes a command, with an example; opc4 --version prints the version.
 """
 
 
@@ -70,40 +67,20 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _shortened(message: str) -> str:
-    """Return one line; what the user gave at great length is cut in its middle."""
+    """Return one line of at most 1,000 characters; what the user gave at length is cut in its middle."""
     message = " ".join(message.split("\n"))
-    half = LONGEST_ERROR // 2
-    if len(message) <= LONGEST_ERROR:
-        return message
-    return f"{message[:half]} ... {message[-half:]}"
+    return message if len(message) <= 1000 else f"{message[:500]} ... {message[-500:]}"
 
 
-_ENDING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
-
-
-def _end_at_once() -> None:
-    """Let the ending signals end a worker process without a traceback."""
+def _handle_signals(handler: Any) -> None:
+    """Set what the ending signals do; one that is ignored, as SIGHUP under nohup, stays ignored."""
     for number in _ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, handler)
 
 
-def _interrupt_again(unraisable: Any) -> None:
-    """Repeat an interrupt that Python discarded, as it does in destructors and weakref callbacks."""
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(unraisable)
-        return
-
-    def interrupt(thread: int, hook: FrameType) -> None:
-        frame: FrameType | None = hook
-        while frame is hook:  # within the hook it would be discarded again
-            time.sleep(0.001)
-            frame = sys._current_frames()[thread]
-            while frame is not None and frame is not hook:
-                frame = frame.f_back
-        signal.pthread_kill(thread, signal.SIGINT)
-
-    _thread.start_new_thread(interrupt, (_thread.get_ident(), sys._getframe()))
+def _interrupt(number: int, _frame: object) -> NoReturn:
+    raise KeyboardInterrupt(number)
 
 
 class _Output(io.FileIO):
@@ -119,21 +96,17 @@ class _Output(io.FileIO):
 def command() -> NoReturn:
     """Be the process `opc4`: SIGTERM and SIGHUP end a command as Ctrl-C does.
 
-    A signal that is ignored, as SIGHUP under nohup, stays ignored. Standard streams that are closed
-    are replaced by the null device.
+    Standard streams that are closed are replaced by the null device.
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the matrices are small: threads only wait for each other
-    for number in _ENDING_SIGNALS:
-        if signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, signal.default_int_handler)
-    os.register_at_fork(after_in_child=_end_at_once)
+    _handle_signals(_interrupt)
+    os.register_at_fork(after_in_child=lambda: _handle_signals(signal.SIG_DFL))
     for descriptor in (0, 1, 2):  # else a file of ours could become standard output
         try:
             os.fstat(descriptor)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-    sys.unraisablehook = _interrupt_again
     codecs.register_error("json", _escaped)
     encoding = sys.stdout.encoding if sys.stdout else "utf-8"
     output = io.BufferedWriter(_Output(1, "w", closefd=False))
@@ -141,7 +114,7 @@ def command() -> NoReturn:
     if sys.stderr is None:
         sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
     code = main()
-    _ignore_interrupts()
+    _handle_signals(signal.SIG_DFL)
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -156,36 +129,24 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one `opc4` command and return its exit code (0, 1, 2 or 3).
+    """Run one `opc4` command and return its exit code.
 
     Bad input and usage end in one line on standard error; with --json the same line is also the
     `error` of the one object on standard output.  Checked by test_cli.
     """
     try:
         return _main(list(sys.argv[1:] if argv is None else argv))
-    except KeyboardInterrupt:  # while a command was being loaded
-        pass
+    except KeyboardInterrupt as interrupt:  # while a command was being loaded
+        print("opc4: interrupted", file=sys.stderr)
+        return _interrupted_code(interrupt)
     except OSError as error:  # of standard output: all others are reported by _guarded
         return _unwritable(error)
-    except RuntimeError as error:  # what Python 3.11 makes of an interrupt while a class is made
-        if not isinstance(error.__cause__, KeyboardInterrupt):
-            raise
-    _ignore_interrupts()
-    print("opc4: interrupted", file=sys.stderr)
-    return NOT_FINISHED
 
 
-def _ignore_interrupts() -> None:
-    """Ignore interrupts, since what is left takes no time.
-
-    An interrupt that passes through `exec` (a dataclass that is being made during an import) sets a flag
-    of the interpreter, which then ends with the signal instead of our exit code: without the empty
-    `exec`, which clears the flag, Ctrl-C in the first second of a command ends with -2 instead of 3.
-    Checked by test_interrupted_at_any_moment.
-    """
-    for number in (signal.SIGINT, *_ENDING_SIGNALS):
-        signal.signal(number, signal.SIG_IGN)
-    exec("")
+def _interrupted_code(interrupt: KeyboardInterrupt) -> int:
+    """Return 128 and the number of the signal, as shells do."""
+    number: int = interrupt.args[0] if interrupt.args else signal.SIGINT
+    return 128 + number
 
 
 def _unwritable(error: OSError) -> int:
@@ -198,15 +159,10 @@ def _unwritable(error: OSError) -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    refused = ""
     if any("\0" in word for word in arguments):  # no system has such files
-        refused = "a null byte in an argument; expected none"
-    elif (
-        "" in arguments
-    ):  # as of an unset variable of a shell; Path("") would be the current folder
-        refused = "an empty argument; expected none"
-    if refused:
-        return _refuse("opc4", refused, arguments)
+        return _refuse("opc4", "a null byte in an argument; expected none", arguments)
+    if "" in arguments:  # as of an unset variable of a shell; Path("") would be the current folder
+        return _refuse("opc4", "an empty argument; expected none", arguments)
     if not arguments or arguments[0] in ("-h", "--help"):
         rows = "\n".join(f"  {name:<10} {summary}" for name, summary in COMMANDS.items())
         print(_HELP.format(commands=rows), end="")
@@ -217,10 +173,6 @@ def _main(arguments: list[str]) -> int:
         print(f"opc4-sil {version('opc4-sil')}")
         return PASSED
     name = arguments[0]
-    if name == "--completion":
-        from sil.cli.completion import print_completion
-
-        return print_completion(arguments[1:])
     if name not in COMMANDS:
         from can_dbc.errors import nearest
 
@@ -232,9 +184,11 @@ def _main(arguments: list[str]) -> int:
     except ModuleNotFoundError as error:
         print(f"opc4 {name}: the library {error.name!r} is not installed", file=sys.stderr)
         return NOT_FINISHED
+    from can_dbc.errors import InputError
+
     try:
         parsed = parser(name, command).parse_args(arguments[1:])
-    except _UsageError as error:
+    except (_UsageError, InputError) as error:
         return _refuse(f"opc4 {name}", str(error), arguments)
     except SystemExit:  # --help
         return PASSED
@@ -257,7 +211,7 @@ def parser(name: str, command: Any) -> argparse.ArgumentParser:
     """Return the argument parser of a command, given its module."""
     from sil.cli.options import argument
 
-    made = _Parser(
+    options = _Parser(
         prog=f"opc4 {name}",
         description=command.__doc__,
         epilog=command.EXAMPLE,
@@ -265,8 +219,8 @@ def parser(name: str, command: Any) -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     for name, how in (*command.ARGUMENTS, argument("--quiet", "no progress on standard error")):
-        made.add_argument(name, **how)
-    return made
+        options.add_argument(name, **how)
+    return options
 
 
 def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
@@ -282,9 +236,8 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         message, code = str(error), BAD_INPUT
     except RunError as error:
         message, code = str(error), NOT_FINISHED
-    except KeyboardInterrupt:
-        _ignore_interrupts()
-        message, code = "interrupted", NOT_FINISHED
+    except KeyboardInterrupt as interrupt:
+        message, code = "interrupted", _interrupted_code(interrupt)
     except MemoryError:
         message, code = "not enough memory", NOT_FINISHED
     except OSError as error:  # a full disk, for example

@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     paced = arguments.speed is not None or arguments.transport == "inproc"
     free_running = arguments.realtime and not paced
     speed = 1.0 if arguments.speed is None and arguments.realtime and paced else arguments.speed
-    folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force, True)
+    folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force)
     from sil.simulation import runner
 
     finished = runner.run(

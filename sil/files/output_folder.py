@@ -63,15 +63,13 @@ def prepare_folder(
     out: Path | None,
     name: str,
     force: bool,
-    has_result_json: bool = False,
     inputs: Iterable[str] = (),
 ) -> Path:
     """Return the locked folder of a new run, made if missing.
 
     Without `out` it is the first free runs/<name>-<n>.  With `force`, the files of a run that the
-    folder holds are set aside until `close_folders`.  `has_result_json`: the command writes a
-    result.json at once that says it is not complete; for others, the file INCOMPLETE does.
-    `inputs`: files that the command reads.
+    folder holds are set aside until `close_folders`. The file INCOMPLETE
+    marks it until then. `inputs`: files that the command reads.
     Raises InputError for a folder that holds a run, to which another process writes, or in which
     nothing can be written, and if an input would be deleted.
     """
@@ -84,8 +82,7 @@ def prepare_folder(
     _open_folders.append((folder, lock))
     try:
         _empty(folder, force)
-        if not has_result_json:
-            _mark_incomplete(folder)
+        _mark_incomplete(folder)
     except BaseException:
         _open_folders.remove((folder, lock))
         os.close(lock)

@@ -78,8 +78,8 @@ def run(
     `free_running`: no lockstep, every node runs by its own clock on a real transport. A run
     that a participant ends early is written too, marked incomplete with the reason; result.json is
     written before the run begins, so that even a killed run is marked as incomplete.
-    Raises InputError if the scenario or the transport is not valid (the folder is then empty), and
-    RunError if a participant cannot be started.
+    Raises InputError if the scenario or the transport is not valid (the folder is then empty),
+    RunError if a participant cannot be started, and KeyboardInterrupt when all is written.
     """
     scenario = loaded.scenario
     begun = time.perf_counter()
@@ -90,6 +90,7 @@ def run(
     lockstep: Lockstep | None = None
     summary: RunSummary | None = None
     why: str | None = None
+    interrupt: KeyboardInterrupt | None = None
     log: BusLog | None = None
     try:
         with contextlib.ExitStack() as closing:
@@ -130,6 +131,7 @@ def run(
             _discard(folder)
             raise
         why = _reason(error, loaded, folder, bool(log.frames))
+        interrupt = error if isinstance(error, KeyboardInterrupt) else None
     bus_result = bus_figures(scenario, bus, plan) if free is None else free.figures()
     base = msgspec.structs.replace(
         base, warnings=[*contradictions(scenario), *overload(bus_result)]
@@ -138,7 +140,10 @@ def run(
     lines = source.warnings if source is not None and summary is not None else []
     for warning in (*lines, *(f"warning: {line}" for line in base.warnings)):
         say(warning)
-    return _judge(loaded, folder, base, why, log, bus_result, summary, begun)
+    finished = _judge(loaded, folder, base, why, log, bus_result, summary, begun)
+    if interrupt is not None:
+        raise interrupt
+    return finished
 
 
 def _begin(loaded: Loaded, folder: Path, transport: str) -> Result:

@@ -139,39 +139,6 @@ def test_without_compilation_the_plant_is_refused_in_one_line() -> None:
     assert "NUMBA_DISABLE_JIT is set; expected it unset" in done.stderr
 
 
-DISCARDED = """
-import signal, sys, time
-from sil import cli
-
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
-
-class Ends:
-    def __del__(self):
-        raise {error}
-
-sys.unraisablehook = cli._interrupt_again
-try:
-    ends = Ends()
-    del ends
-    time.sleep(60.0)
-    print("slept")
-except KeyboardInterrupt:
-    print("interrupted")
-"""
-
-
-def test_an_interrupt_within_a_destructor_is_not_lost() -> None:
-    words = [sys.executable, "-c", DISCARDED.format(error="KeyboardInterrupt")]
-    process = subprocess.run(words, capture_output=True, text=True, timeout=50.0, check=True)
-    assert (process.stdout, process.stderr) == ("interrupted\n", "")
-
-
-def test_other_errors_of_a_destructor_are_reported() -> None:
-    words = [sys.executable, "-c", DISCARDED.format(error="ValueError('odd')").replace("60.0", "0")]
-    process = subprocess.run(words, capture_output=True, text=True, timeout=50.0, check=True)
-    assert process.stdout == "slept\n" and "ValueError: odd" in process.stderr
-
-
 def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
     line = "import atexit, os; atexit.register(lambda: print(os.environ['OPENBLAS_NUM_THREADS']))"
     code = f"{line}; from sil.cli import command; command()"

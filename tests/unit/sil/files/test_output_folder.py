@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -59,7 +60,7 @@ def test_a_folder_is_marked_as_incomplete_until_it_is_closed(tmp_path: Path) -> 
         prepare_folder(out, "x", False)
     assert reopen_folder(out) == out
     assert close_folders(None) == [] and tree(out) == {"diff.txt": "half"}
-    assert prepare_folder(tmp_path / "empty", "x", False, has_result_json=True).is_dir()
+    assert prepare_folder(tmp_path / "empty", "x", False).is_dir()
     assert close_folders("bad input") == [] and not (tmp_path / "empty").exists()
 
 
@@ -68,16 +69,17 @@ def test_a_replaced_run_is_kept_until_the_new_one_is_complete(tmp_path: Path) ->
     put(tmp_path, result_json=old["result.json"], bus_log="old", notes_txt="mine")
     with pytest.raises(InputError, match=r"holds another run \(bus.log\)"):
         prepare_folder(tmp_path, "x", False)
-    prepare_folder(tmp_path, "x", True, has_result_json=True)
-    assert set(tree(tmp_path)) == {"notes.txt", "previous/result.json", "previous/bus.log"}
+    prepare_folder(tmp_path, "x", True)
+    previous = {"previous/result.json", "previous/bus.log"}
+    assert set(tree(tmp_path)) == {"notes.txt", "INCOMPLETE", *previous}
     assert close_folders("bad input") == [] and tree(tmp_path) == old  # nothing came of it
     for begun in ("new", "newer"):  # twice killed in the middle
-        prepare_folder(tmp_path, "x", True, has_result_json=True)
+        prepare_folder(tmp_path, "x", True)
         put(tmp_path, result_json='{"complete": false}', bus_log=begun)
         kept = f"the previous run is in {tmp_path / 'previous'}"
         assert close_folders("killed") == [kept]
         assert tree(tmp_path)["bus.log"] == begun and tree(tmp_path)["previous/bus.log"] == "old"
-    prepare_folder(tmp_path, "x", True, has_result_json=True)
+    prepare_folder(tmp_path, "x", True)
     put(tmp_path, result_json='{"complete": true}', bus_log="newest")
     assert close_folders(None) == []
     assert tree(tmp_path) == old | {"bus.log": "newest"}
@@ -200,8 +202,8 @@ def test_runs_that_start_at_once_get_different_numbers(tmp_path: Path) -> None:
 
 def test_the_lock_of_a_removed_folder_is_not_taken_for_the_new_one(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    prepare_folder(out, "x", False, has_result_json=True)
-    out.rmdir()
+    prepare_folder(out, "x", False)
+    shutil.rmtree(out)
     assert prepare_folder(out, "y", False) == out
     assert close_folders("bad input") == [] and not out.exists()
 
