@@ -212,9 +212,8 @@ def _open(arguments: argparse.Namespace) -> Logs:
 
 def _summary(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
-    from sil.j1939.gear_history import PGN_ETC2
-    from sil.j1939.shift_flag import PGN_ETC1
     from sil.j1939.summary import summarize
+    from sil.shifts.reported import PGN_ETC1, PGN_ETC2
 
     if given := [name for name in NOT_SUMMARY if getattr(arguments, name)]:
         option = given[0].replace("settings", "set").replace("_", "-")

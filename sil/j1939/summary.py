@@ -11,11 +11,11 @@ from typing import Any, Final
 
 from can_dbc.frame import split_id
 from sil.files.quantity import counted
-from sil.j1939.engine import EngineTrace
-from sil.j1939.shifts import Shift, ShiftFinder
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
 from sil.logs.registry import open_log
+from sil.shifts.cutter import Shift, ShiftFinder
+from sil.shifts.engine import EngineTrace
 
 _MOST_GROUPS: Final = 20_000
 

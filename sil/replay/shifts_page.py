@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 
 from sil.files.quantity import counted, noun
-from sil.j1939.engine import EngineTrace
-from sil.j1939.shifts import Shift, gear_name
 from sil.j1939.summary import J1939Summary
 from sil.report.figure import Figure, Floats, Panel, Series, Span, Stack, Zoom
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
+from sil.shifts.cutter import Shift, gear_name
+from sil.shifts.engine import EngineTrace
 
 MOST_PICTURES = 12
 _AROUND_MS = 1000.0

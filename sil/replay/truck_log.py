@@ -19,12 +19,11 @@ from can_dbc.errors import InputError
 from can_dbc.frame import join_id
 from sil.coupling.clock import NS_PER_S
 from sil.files.quantity import counted
-from sil.j1939.gear_history import PGN_ETC2
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
-from sil.j1939.shift_flag import PGN_ETC1
-from sil.j1939.shifts import Shift, ShiftFinder
 from sil.logs import LogFrame, LogReport
 from sil.report.figure import Floats
+from sil.shifts.cutter import Shift, ShiftFinder
+from sil.shifts.reported import PGN_ETC1, PGN_ETC2
 
 SHAFT_SPEEDS: Final[tuple[Meaning, ...]] = ("input_shaft_rad_s", "output_shaft_rad_s")
 GEARS: Final[tuple[Meaning, ...]] = ("current_gear", "selected_gear")

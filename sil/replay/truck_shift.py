@@ -14,9 +14,9 @@ from typing import Final, get_args
 import numpy as np
 
 from sil.j1939.mapping import Gearbox, Meaning
-from sil.j1939.shifts import Shift
 from sil.replay.truck_log import Samples, TruckLog
 from sil.report.figure import Floats
+from sil.shifts.cutter import Shift
 
 NAMES: Final = {
     "torque_cut": "torque cut",

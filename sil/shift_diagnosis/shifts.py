@@ -1,4 +1,4 @@
-"""Shifts cut out of a log: commands as they reached the valves, pulses, speeds, supply.
+"""Commanded shifts of a log: commands as they reached the valves, pulses, speeds, supply.
 
 Checked by: tests/unit/sil/shift_diagnosis/test_shifts.py
 """
@@ -36,6 +36,7 @@ from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.logs import LogFrame, LogReader, open_log
 from sil.replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, is_intact
+from sil.shifts.cutter import CommandedShifts
 
 Floats = NDArray[np.float64]
 
@@ -44,12 +45,9 @@ NEEDED: Final = {can_id_of(kind): kind for kind in (ValveCommand, PositionPulse)
 """The messages without which there is no shift, by identifier."""
 LEAD_S: Final = 0.05
 """Simulated time of a shift before its first command."""
-VENTED_S: Final = 0.27
-"""Time after which the chambers of closed valves are at the atmosphere's pressure."""
 NO_BLOWS: Final = 20
 """Commands without any SafetyBlow from which the log is taken as one without them."""
 NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
-LONGEST_S: Final = 4.0
 MOST_PULSES: Final = 96
 FRAME_S: Final = 0.00026
 """Time of a pulse's frame on a bus of 500 kbit/s; another bit rate is part of the delay's prior."""
@@ -81,7 +79,7 @@ class Shift:
 
 @dataclass
 class _Episode:
-    """Commands, pulses and speeds from a first command until the chambers are vented again; ns."""
+    """Commands, pulses and speeds of a shift; ns."""
 
     begin_ns: int
     commands: list[tuple[int, int, float]] = field(default_factory=list)
@@ -89,8 +87,8 @@ class _Episode:
     speeds: list[tuple[int, Frame]] = field(default_factory=list)
 
 
-class ShiftCutter:
-    """Cuts shifts out of the frames of one log, as they come.
+class ShiftReader:
+    """Reads commanded shifts from the frames of one log, as they come.
 
     skipped: shifts that cannot be used, by the reason.
     """
@@ -106,12 +104,12 @@ class ShiftCutter:
             ValveDriverConfig(), value("valve.duty_nominal"), self._duty_open
         )
         self._duties: Duties = self._driver.duties
-        self._off_ns = -_NS
+        self._cutter = CommandedShifts()
         self._episode: _Episode | None = None
         self._pulses: deque[tuple[int, Frame]] = deque(maxlen=40)
         self._speeds: deque[tuple[int, Frame]] = deque(maxlen=8)
         self._supply_pa = float("nan")
-        self.skipped: Counter[str] = Counter()
+        self.skipped = self._cutter.skipped
         self.frames: Counter[type] = Counter()
         self._no_blow = Protector(SafetyBlow)
 
@@ -138,44 +136,27 @@ class ShiftCutter:
             self._note_supply(frame)
         if kind is not None:
             self.frames[kind] += 1
-        return self._finished(time_ns)
+        return self._closed(self._cutter.pass_time(time_ns))
 
     def finish(self) -> Shift | None:
         """Return the shift that the end of the log completes."""
-        if self._episode is None or not self._pulses:
-            return None
-        if self._is_energised or self._pulses[-1][0] < self._off_ns + 200_000_000:
-            self.skipped["without its end in the log"] += 1
-            return None
-        return self._closed()
-
-    @property
-    def _is_energised(self) -> bool:
-        return max(self._duties) >= self._duty_open
+        return self._closed(self._cutter.finish(self._pulses[-1][0])) if self._pulses else None
 
     def _command(self, at_ns: int, duties: Duties) -> Shift | None:
         """Take new duties; return the shift that a command out of its gear ends."""
-        was_off, before, ended = not self._is_energised, self._duties, None
-        self._duties = duties
-        if was_off and self._is_energised:
-            vented = at_ns >= self._off_ns + VENTED_S * _NS
-            if self._episode is not None and not vented and self._is_in_gear:
-                ended = self._closed()
-            if self._episode is None and vented:
-                self._episode = _Episode(at_ns, [], list(self._pulses), list(self._speeds))
-            elif self._episode is None:
-                self.skipped["begun before the chambers were vented"] += 1
+        before, self._duties = self._duties, duties
+        energised = max(duties) >= self._duty_open
+        ended = self._closed(self._cutter.command(at_ns, energised, self._is_in_gear))
+        if self._episode is None and self._cutter.begin_ns is not None:
+            self._episode = _Episode(at_ns, [], list(self._pulses), list(self._speeds))
         if self._episode is not None:
             self._episode.commands += [
                 (at_ns, chamber, duty)
                 for chamber, (duty, old) in enumerate(zip(duties, before, strict=True))
                 if duty != old
             ]
-        if not self._is_energised:
-            self._off_ns = at_ns
         return ended
 
-    @property
     def _is_in_gear(self) -> bool:
         """Whether the latest pulse is one of an engaged gear."""
         message = decode(self._pulses[-1][1]) if self._pulses else None
@@ -192,26 +173,18 @@ class ShiftCutter:
         if isinstance(message, Air1) and message.supply_gauge_pa is not None:
             self._supply_pa = message.supply_gauge_pa + self._atmosphere_pa
 
-    def _finished(self, now_ns: int) -> Shift | None:
-        episode = self._episode
-        if episode is None:
+    def _closed(self, begin_ns: int | None) -> Shift | None:
+        """Return the shift that is over, if one is and it can be used."""
+        if self._cutter.begin_ns is not None and begin_ns is None:
             return None
-        if now_ns - episode.begin_ns > LONGEST_S * _NS and self._is_energised:
-            self.skipped[f"energised for more than {LONGEST_S:g} s"] += 1
-            self._episode = None
-            return None
-        if self._is_energised or now_ns < self._off_ns + VENTED_S * _NS:
-            return None
-        return self._closed()
-
-    def _closed(self) -> Shift | None:
         episode, self._episode = self._episode, None
-        assert episode is not None
-        found = self._shift(episode)
-        if isinstance(found, str):
-            self.skipped[found] += 1
+        if episode is None or begin_ns is None:
             return None
-        return found
+        shift = self._shift(episode)
+        if isinstance(shift, str):
+            self.skipped[shift] += 1
+            return None
+        return shift
 
     def _shift(self, episode: _Episode) -> Shift | str:
         """Return the shift of an episode, or why there is none."""
@@ -301,7 +274,7 @@ def shifts_of(
     Raises InputError for a file that is no log, for one without what a shift needs, and for one of
     several buses that have it.
     """
-    cutter = ShiftCutter(path, parameters)
+    reader = ShiftReader(path, parameters)
     log = open_log(path)
     arrivals = (
         iter(RecordedFrames(_of_one_bus(log), ids=OWN_IDS, path=path))
@@ -309,17 +282,17 @@ def shifts_of(
         else Translator(mapping).arrivals(log)
     )
     for arrival in arrivals:
-        if (shift := cutter.take(arrival)) is not None:
+        if (shift := reader.take(arrival)) is not None:
             yield shift
-    if (shift := cutter.finish()) is not None:
+    if (shift := reader.finish()) is not None:
         yield shift
-    skipped.update(cutter.skipped)
+    skipped.update(reader.skipped)
     if faults is not None and log.report.faults:
         faults.append(log.report.faults)
     if not log.report.frames:
         raise InputError(f"{path}: no CAN frame; expected at least one")
     for kind in NEEDED.values():
-        if not cutter.frames[kind]:
+        if not reader.frames[kind]:
             hint = "the signals that FILE of --map names" if mapping else "those, or --map FILE"
             raise InputError(
                 f"{path}: no {kind.__name__} ({can_id_of(kind):X}) among "

@@ -11,7 +11,7 @@ import pytest
 from sil.cli import main
 from sil.j1939.mapping import LAYOUT, SHIPPED
 from sil.replay import truck_page
-from tests.unit.sil.replay.truck_synthesis import (
+from tests.support.truck_synthesis import (
     DRIVE,
     MadeShift,
     Truck,

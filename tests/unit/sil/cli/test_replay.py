@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sil.cli import main
-from tests.unit.sil.replay.golden_logs import golden
+from tests.support.golden_logs import golden
 
 
 def test_the_files_listed_are_those_in_the_folder(

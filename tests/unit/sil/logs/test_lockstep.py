@@ -14,7 +14,7 @@ from sil.logs import open_log
 from sil.logs.convert import convert
 from sil.replay.options import find_settings
 from sil.replay.tick_grid import survey
-from tests.unit.sil.replay.golden_logs import arrivals
+from tests.support.golden_logs import arrivals
 
 FRAMES = [(1_000_000 * k + 250, Frame(0x0CFF2091, bytes((k, *range(7))))) for k in range(20)]
 FOREIGN = wire.real(Frame(0x18FF9927, b"\1"))

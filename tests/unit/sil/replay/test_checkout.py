@@ -21,7 +21,7 @@ from sil.replay.replay import ReplayRequest, replay
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load
 from tests.conftest import ROOT
-from tests.unit.sil.replay.golden_logs import arrivals, golden
+from tests.support.golden_logs import arrivals, golden
 
 
 def git(folder: Path, *arguments: str) -> str:

@@ -16,7 +16,7 @@ from sil.replay.replay import ReplayRequest, ReplayResult, replay
 from sil.replay.signals import Options
 from sil.simulation import load_scenario, scenario
 from sil.simulation.in_memory import run_in_memory
-from tests.unit.sil.replay.golden_logs import frames, golden, write
+from tests.support.golden_logs import frames, golden, write
 
 PERIOD = 10_000_000
 

@@ -8,7 +8,7 @@ from sil.replay.excerpts import Excerpt, Row
 from sil.replay.figures import excerpts_figure
 from sil.replay.replay import ReplayRequest, replay
 from sil.report.figure import Series
-from tests.unit.sil.replay.golden_logs import golden
+from tests.support.golden_logs import golden
 
 FOUND = replay(ReplayRequest(str(golden("full_shift")), settings={"controller.filter": False}))
 

@@ -12,7 +12,7 @@ from sil.files.overrides import Settings
 from sil.replay.options import find_settings
 from sil.replay.tick_grid import survey
 from sil.simulation import load_scenario, scenario
-from tests.unit.sil.replay.golden_logs import arrivals
+from tests.support.golden_logs import arrivals
 
 FOUND = survey(arrivals("firmware_2500us"))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from sil.replay.page import replay_page
 from sil.replay.replay import ReplayRequest, replay
 from sil.replay.summary import as_dict, summary_lines, text
-from tests.unit.sil.replay.golden_logs import golden
+from tests.support.golden_logs import golden
 
 FOUND = replay(ReplayRequest(str(golden("full_shift")), settings={"controller.filter": False}))
 SAME = replay(ReplayRequest(str(golden("full_shift"))))

@@ -12,7 +12,7 @@ from can_dbc.frame import Frame
 from can_dbc.messages import PositionPulse, ShiftRequest, ValveCommand
 from sil.logs import LogFrame
 from sil.replay.recorded_frames import ID_OF, RecordedFrames, bare, ids_of_database, is_intact
-from tests.unit.sil.replay.golden_logs import arrivals
+from tests.support.golden_logs import arrivals
 
 REQUEST = ID_OF[ShiftRequest]
 DBC = Path(DBC_PATH).read_text(encoding="ascii")

@@ -9,7 +9,7 @@ import pytest
 
 from sil import cli
 from sil.logs import LogFrame, open_writer
-from tests.unit.sil.j1939.test_engine import with_engine
+from tests.support.j1939_logs import with_engine
 
 
 def written(path: Path, frames: list[LogFrame]) -> Path:

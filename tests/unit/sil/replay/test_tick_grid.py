@@ -10,7 +10,7 @@ from can_dbc.messages import PositionPulse
 from sil.replay.recorded_frames import Arrival
 from sil.replay.tick_grid import make_grid, survey
 from sil.simulation import load_scenario
-from tests.unit.sil.replay.golden_logs import arrivals
+from tests.support.golden_logs import arrivals
 
 NAMES = sorted(load_scenario.shipped())
 COMPUTATION = 100_000

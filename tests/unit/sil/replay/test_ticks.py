@@ -6,7 +6,7 @@ from can_dbc.messages import SafetyBlow, ValveCommand
 from sil.replay.recorded_frames import OUTPUTS, Arrival
 from sil.replay.tick_grid import make_grid, survey
 from sil.replay.ticks import Span, TickMap, map_ticks
-from tests.unit.sil.replay.golden_logs import arrivals
+from tests.support.golden_logs import arrivals
 
 PERIOD = 10_000_000
 

@@ -13,7 +13,7 @@ from sil.j1939.mapping import LAYOUT, SHIPPED, SignalMapping
 from sil.logs import LogFrame
 from sil.replay.truck_log import TruckLog
 from sil.replay.truck_shift import recorded_shift
-from tests.unit.sil.replay.truck_synthesis import MS, START_NS, Truck, changed, replace, without
+from tests.support.truck_synthesis import MS, START_NS, Truck, changed, replace, without
 
 FRAMES = Truck().frames()
 

@@ -18,7 +18,7 @@ from sil.replay.truck_replay import ComparedShift, verdict
 from sil.replay.truck_shift import RecordedShift, recorded_shift
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
-from tests.unit.sil.replay.truck_synthesis import MadeShift, Truck, replace, without
+from tests.support.truck_synthesis import MadeShift, Truck, replace, without
 
 MAPPING = SignalMapping()
 SHIFT = MadeShift(3_000, 3, 4, fall_from_ms=300, fall_to_ms=700)

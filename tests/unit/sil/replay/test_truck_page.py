@@ -9,7 +9,7 @@ import pytest
 from sil.logs import open_logs
 from sil.replay import truck_page, truck_replay
 from sil.replay.truck_replay import TruckReplay, quicker, statistics, verdict
-from tests.unit.sil.replay.truck_synthesis import DRIVE, Truck, write_log
+from tests.support.truck_synthesis import DRIVE, Truck, write_log
 
 
 @pytest.fixture(scope="module")

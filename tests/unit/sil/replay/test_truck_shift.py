@@ -18,7 +18,7 @@ from sil.replay.truck_log import TruckLog
 from sil.replay.truck_loop import inputs_of, scenario_of, why_not
 from sil.replay.truck_shift import RecordedShift, peak_rate, recorded_shift
 from sil.simulation import load_scenario
-from tests.unit.sil.replay.truck_synthesis import (
+from tests.support.truck_synthesis import (
     MS,
     RATIOS,
     START_NS,

@@ -18,7 +18,7 @@ from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
 from sil.logs import open_log, open_writer
 from sil.replay.recorded_frames import OWN_IDS, RecordedFrames
-from sil.shift_diagnosis.shifts import NO_BLOWS, Shift, ShiftCutter, shifts_of
+from sil.shift_diagnosis.shifts import NO_BLOWS, Shift, ShiftReader, shifts_of
 
 MAP = """
 [[signal]]
@@ -118,7 +118,7 @@ def test_a_log_without_blows_has_the_same_shifts(nominal_log: Path, tmp_path: Pa
 
 
 def test_no_blow_is_added_to_a_first_blow(nominal_log: Path) -> None:
-    cutter = ShiftCutter("a.log", load("nominal"))
+    cutter = ShiftReader("a.log", load("nominal"))
     received: list[int] = []
 
     def advance(_until_ns: int, frames: list[tuple[int, Frame]]) -> list[object]:

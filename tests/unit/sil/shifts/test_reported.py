@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from can_dbc.codec import encode
 from can_dbc.messages import GEAR_PARK, Etc1, Etc2
-from sil.j1939.gear_history import gear_at
-from sil.j1939.shift_flag import shift_in_process, word_at
+from sil.shifts.reported import gear_at, shift_in_process, word_at
 
 
 def test_flags_have_two_bits() -> None:

@@ -10,16 +10,10 @@ from operator import le
 from statistics import median
 from typing import Final
 
-from sil.j1939.shift_flag import word_at
+from sil.shifts.reported import word_at
 
 PGN_EEC1: Final = 61444
-_TORQUE_OFFSET: Final = 125
-_LAST_TORQUE_BYTE: Final = 250
-_BEFORE_NS: Final = 500_000_000
-_KEPT_BEFORE_NS: Final = 3_000_000_000
-_KEPT_AFTER_NS: Final = 2_000_000_000
-_HELD: Final = 512
-_MOST_KEPT: Final = 1_000_000
+AROUND_NS: Final = 500_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +55,7 @@ class EngineTrace:
         self.time_ns = array("q")
         self.torque_percent = array("h")
         self.speed_rpm = array("d")
-        self._held: deque[tuple[int, bytes]] = deque(maxlen=_HELD)
+        self._recent: deque[tuple[int, bytes]] = deque(maxlen=512)
         self._until_ns = -(2**63)
 
     def take(self, time_ns: int, data: bytes) -> None:
@@ -69,21 +63,21 @@ class EngineTrace:
         if time_ns <= self._until_ns:
             self._add(time_ns, data)
         else:
-            self._held.append((time_ns, data))
+            self._recent.append((time_ns, data))
 
     def keep(self, time_ns: int) -> None:
         """Keep the samples shortly before and after a time: there may be a shift."""
-        for sample in self._held:
-            if sample[0] >= time_ns - _KEPT_BEFORE_NS:
+        for sample in self._recent:
+            if sample[0] >= time_ns - 3_000_000_000:
                 self._add(*sample)
-        self._held.clear()
-        self._until_ns = time_ns + _KEPT_AFTER_NS
+        self._recent.clear()
+        self._until_ns = time_ns + 2_000_000_000
 
     def _add(self, time_ns: int, data: bytes) -> None:
         speed = word_at(data, 3)
-        if speed is not None and data[2] <= _LAST_TORQUE_BYTE and len(self.time_ns) < _MOST_KEPT:
+        if speed is not None and data[2] <= 250 and len(self.time_ns) < 1_000_000:
             self.time_ns.append(time_ns)
-            self.torque_percent.append(data[2] - _TORQUE_OFFSET)
+            self.torque_percent.append(data[2] - 125)
             self.speed_rpm.append(speed / 8)
 
     def sort(self) -> None:
@@ -97,9 +91,9 @@ class EngineTrace:
 
     def figures(self, start_ns: int, end_ns: int) -> EngineFigures | None:
         """Return the figures of a shift, None if the log has no samples before and during it."""
-        begin = bisect_left(self.time_ns, start_ns - _BEFORE_NS)
+        begin = bisect_left(self.time_ns, start_ns - AROUND_NS)
         first, last = bisect_left(self.time_ns, start_ns), bisect_right(self.time_ns, end_ns)
-        end = bisect_right(self.time_ns, end_ns + _BEFORE_NS)
+        end = bisect_right(self.time_ns, end_ns + AROUND_NS)
         if begin == first or first >= last:
             return None
         torques, speeds = self.torque_percent, self.speed_rpm

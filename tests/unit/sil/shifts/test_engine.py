@@ -4,23 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from sil.j1939.engine import EngineTrace
 from sil.j1939.summary import summarize
-from sil.logs import LogFrame
-from tests.unit.sil.j1939.test_shifts import MS, SEVEN, START_NS, truck
-
-
-def eec1(time_ms: float, torque: int, rpm: float) -> LogFrame:
-    data = bytes((0xF0, 125, torque + 125)) + round(8 * rpm).to_bytes(2, "little") + b"\xff" * 3
-    return LogFrame(START_NS + round(time_ms * MS), 0x0CF00400, data, channel="can0")
-
-
-def with_engine(end_ms: int = 12_000) -> list[LogFrame]:
-    frames = [f for f in truck(SEVEN[:3], speeds=True, end_ms=end_ms) if f.can_id != 0x0CF00400]
-    for time_ms in range(0, end_ms, 10):
-        cut = any(begin - 60 <= time_ms < end for begin, end, _, _ in SEVEN)
-        frames.append(eec1(time_ms + 0.2, -5 if cut else 60, 1200 if cut else 1500))
-    return sorted(frames, key=lambda frame: frame.time_ns)
+from sil.shifts.engine import EngineTrace
+from tests.support.j1939_logs import MS, SEVEN, START_NS, eec1, with_engine
 
 
 def test_each_shift_has_the_torque_and_its_cut() -> None:

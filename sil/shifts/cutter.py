@@ -1,8 +1,11 @@
-"""The gear shifts of any truck, out of its J1939 log."""
+"""Cuts the gear shifts out of a log: those that a truck's transmission reports, and those commanded.
+
+Checked by: tests/unit/sil/shifts/test_cutter.py
+"""
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
@@ -10,17 +13,10 @@ from typing import Any, Final
 from can_dbc.frame import split_id
 from can_dbc.messages import GEAR_PARK
 from sil.files.quantity import counted
-from sil.j1939.engine import PGN_EEC1, EngineFigures, EngineTrace
-from sil.j1939.gear_history import PGN_ETC2, SETTLE_NS, GearHistory
-from sil.j1939.shift_flag import PGN_ETC1, FlagTracker
 from sil.logs.frame import LogFrame
 from sil.logs.times import format_ns
-
-_GEAR_NAMES: Final = {0: "N", GEAR_PARK: "P"}
-RATIO_TOLERANCE: Final = 0.05
-_MOST_NOTES: Final = 20
-_GATEWAY_NS: Final = 100_000_000
-"""A gateway forwards within this; the same shift of the same sender on two channels is one."""
+from sil.shifts.engine import PGN_EEC1, EngineFigures, EngineTrace
+from sil.shifts.reported import PGN_ETC1, PGN_ETC2, SETTLE_NS, FlagTracker, GearHistory
 
 TRANSMISSION: Final = 3
 """Source address of transmission #1 (SAE J1939-81)."""
@@ -79,7 +75,7 @@ def gear_name(gear: int | None) -> str:
     """Return a gear as a driver reads it: N, P, 4, R1; ? for an unknown one."""
     if gear is None:
         return "?"
-    return _GEAR_NAMES.get(gear, f"{gear}" if gear > 0 else f"R{-gear}")
+    return {0: "N", GEAR_PARK: "P"}.get(gear, f"{gear}" if gear > 0 else f"R{-gear}")
 
 
 class ShiftFinder:
@@ -141,7 +137,7 @@ class ShiftFinder:
         """All shifts, by their start."""
         for trace in self.engines.values():
             trace.sort()
-        found: list[Shift] = []
+        flagged: list[Shift] = []
         for sender, tracker in self._flags.items():
             tracker.finish()
             if tracker.clock_steps:
@@ -153,9 +149,8 @@ class ShiftFinder:
                     f"source {sender[1]:#04x}: not recorded for over 1 s in {counted(len(silent), 'shift')}, "
                     "so no times in them are known better"
                 )
-            found += self._flagged(sender, tracker)
-        flagged = found
-        found = self._once(found)
+            flagged += self._flagged(sender, tracker)
+        shifts = self._once(flagged)
         flagged_channels = {key[0] for key, tracker in self._flags.items() if tracker.shifts}
         for sender, history in self._gears.items():
             by_gear = self._by_gear(sender, history)
@@ -163,48 +158,49 @@ class ShiftFinder:
             if sender[0] in flagged_channels:
                 self.unflagged += alone
             else:
-                found += [s for s in alone if not _repeats(s, found)]
+                shifts += [s for s in alone if not _repeats(s, shifts)]
         if self._short:
             self.notes.append(f"{self._short} ETC1 or ETC2 frames of fewer than 8 bytes")
-        if not found:
+        if not shifts:
             self._explain()
-        found = [replace(shift, engine=self._engine(shift)) for shift in found]
-        return sorted(found, key=lambda shift: (shift.start_ns, shift.source, shift.channel))
+        shifts = [replace(shift, engine=self._engine(shift)) for shift in shifts]
+        return sorted(shifts, key=lambda shift: (shift.start_ns, shift.source, shift.channel))
 
     def _by_gear(self, sender: tuple[str, int], history: GearHistory) -> list[Shift]:
         """Return the changes of gear of a sender; one while it was silent has no shift time."""
-        found = []
+        shifts = []
         for change in history.changes():
             shift = Shift(*change, sender[1], sender[0], "gear")
             silent_ns = history.silences.within(shift.start_ns + 1, shift.end_ns)
             if not silent_ns:
-                found.append(shift)
-            elif len(self.notes) < _MOST_NOTES:
+                shifts.append(shift)
+            elif len(self.notes) < 20:
                 self.notes.append(
                     f"source {sender[1]:#04x} was silent for {silent_ns / 1e9:.3f} s at "
                     f"{format_ns(shift.start_ns)} s, then in {gear_name(shift.to_gear)} instead of "
                     f"{gear_name(shift.from_gear)}: the shift between has no known time"
                 )
-        return found
+        return shifts
 
     def _engine(self, shift: Shift) -> EngineFigures | None:
         if shift.channel not in self._engines:
             return None
         return self._engines[shift.channel][1].figures(shift.start_ns, shift.end_ns)
 
-    def _once(self, found: list[Shift]) -> list[Shift]:
+    def _once(self, shifts: list[Shift]) -> list[Shift]:
         """One of each shift that a gateway or another unit repeats: a truck shifts one at a time.
 
-        The one of the transmission's own address, and of the first channel, is returned.
+        The one of the transmission's own address, and of the first channel, is returned. A gateway
+        forwards within 100 ms.
         """
-        found_once: list[Shift] = []
-        for shift in sorted(found, key=lambda shift: shift.source != TRANSMISSION):
+        kept: list[Shift] = []
+        for shift in sorted(shifts, key=lambda shift: shift.source != TRANSMISSION):
             twins = [
                 other
-                for other in found_once
+                for other in kept
                 if (other.source, other.channel) != (shift.source, shift.channel)
-                and abs(other.start_ns - shift.start_ns) < _GATEWAY_NS
-                and abs(other.end_ns - shift.end_ns) < _GATEWAY_NS
+                and abs(other.start_ns - shift.start_ns) < 100_000_000
+                and abs(other.end_ns - shift.end_ns) < 100_000_000
             ]
             if twins:
                 note = f"shifts on channel {shift.channel} repeat those on {twins[0].channel}"
@@ -213,8 +209,8 @@ class ShiftFinder:
                 if note not in self.notes:
                     self.notes.append(note)
             else:
-                found_once.append(shift)
-        return found_once
+                kept.append(shift)
+        return kept
 
     def _explain(self) -> None:
         """Say why there are no shifts."""
@@ -227,16 +223,15 @@ class ShiftFinder:
 
     def _history(self, sender: tuple[str, int]) -> GearHistory | None:
         """Return the gears of the same sender, or of the only one on its channel."""
-        own = self._gears.get(sender)
-        if own is not None:
-            return own
+        if sender in self._gears:
+            return self._gears[sender]
         others = [history for key, history in self._gears.items() if key[0] == sender[0]]
         return others[0] if len(others) == 1 else None
 
     def _flagged(self, sender: tuple[str, int], tracker: FlagTracker) -> list[Shift]:
         history = self._history(sender)
         channel, source = sender
-        found: list[Shift] = []
+        shifts: list[Shift] = []
         for index, flagged in enumerate(tracker.shifts):
             following = tracker.shifts[index + 1 : index + 2]
             until_ns = following[0].start_ns if following else flagged.end_ns + SETTLE_NS
@@ -246,34 +241,34 @@ class ShiftFinder:
             after = history.gear_after(flagged.end_ns, until_ns) if history else None
             shift = Shift(flagged.start_ns, flagged.end_ns, before, after, source, channel, "flag")
             names = ("chatter", "from_ratio", "to_ratio", "silent_ns")
-            found.append(replace(shift, **{name: getattr(flagged, name) for name in names}))
-        return self._gears_by_ratio(found)
+            shifts.append(replace(shift, **{name: getattr(flagged, name) for name in names}))
+        return self._gears_by_ratio(shifts)
 
-    def _gears_by_ratio(self, found: list[Shift]) -> list[Shift]:
+    def _gears_by_ratio(self, shifts: list[Shift]) -> list[Shift]:
         """Fill in gears that nothing reported, from speed ratios that are known for gears."""
-        known: dict[int, float] = {}
-        for shift in found:
+        ratios: dict[int, float] = {}
+        for shift in shifts:
             for gear, ratio in (
                 (shift.from_gear, shift.from_ratio),
                 (shift.to_gear, shift.to_ratio),
             ):
                 if gear and ratio is not None:
-                    known.setdefault(gear, ratio)
+                    ratios.setdefault(gear, ratio)
         return [
             replace(
                 shift,
-                from_gear=_by_ratio(shift.from_gear, shift.from_ratio, known),
-                to_gear=_by_ratio(shift.to_gear, shift.to_ratio, known),
+                from_gear=_by_ratio(shift.from_gear, shift.from_ratio, ratios),
+                to_gear=_by_ratio(shift.to_gear, shift.to_ratio, ratios),
             )
-            for shift in found
+            for shift in shifts
         ]
 
 
-def _by_ratio(gear: int | None, ratio: float | None, known: Mapping[int, float]) -> int | None:
-    if gear is not None or ratio is None or not known:
+def _by_ratio(gear: int | None, ratio: float | None, ratios: Mapping[int, float]) -> int | None:
+    if gear is not None or ratio is None or not ratios:
         return gear
-    nearest = min(known, key=lambda candidate: abs(known[candidate] - ratio))
-    close = abs(known[nearest] - ratio) <= RATIO_TOLERANCE * known[nearest]
+    nearest = min(ratios, key=lambda candidate: abs(ratios[candidate] - ratio))
+    close = abs(ratios[nearest] - ratio) <= 0.05 * ratios[nearest]
     return nearest if close else None
 
 
@@ -285,11 +280,69 @@ def _near_any(shift: Shift, flagged: Iterable[Shift]) -> bool:
     )
 
 
-def _repeats(shift: Shift, found: Iterable[Shift]) -> bool:
+def _repeats(shift: Shift, shifts: Iterable[Shift]) -> bool:
     """Return whether a change of gear is one that another sender reported, too."""
     return any(
         (other.source, other.channel) != (shift.source, shift.channel)
         and (other.from_gear, other.to_gear) == (shift.from_gear, shift.to_gear)
         and abs(other.end_ns - shift.end_ns) < SETTLE_NS
-        for other in found
+        for other in shifts
     )
+
+
+class CommandedShifts:
+    """Cuts by the commands of the valves: from the first one into vented chambers until all are vented.
+
+    begin_ns: of the shift under way. skipped: shifts that cannot be used, by the reason.
+    """
+
+    _VENTED_NS = 270_000_000
+    """Time after which the chambers of closed valves are at the atmosphere's pressure."""
+
+    def __init__(self) -> None:
+        self.begin_ns: int | None = None
+        self.skipped: Counter[str] = Counter()
+        self._energised = False
+        self._off_ns = -1_000_000_000
+
+    def command(self, at_ns: int, energised: bool, in_gear: Callable[[], bool]) -> int | None:
+        """Take whether any valve is energised from now on; return the begin of a shift that this ends.
+
+        A command out of an engaged gear ends the shift into it, before the chambers are vented.
+        """
+        ended: int | None = None
+        if energised and not self._energised:
+            vented = at_ns >= self._off_ns + self._VENTED_NS
+            if self.begin_ns is not None and not vented and in_gear():
+                ended, self.begin_ns = self.begin_ns, None
+            if self.begin_ns is None and vented:
+                self.begin_ns = at_ns
+            elif self.begin_ns is None:
+                self.skipped["begun before the chambers were vented"] += 1
+        self._energised = energised
+        if not energised:
+            self._off_ns = at_ns
+        return ended
+
+    def pass_time(self, now_ns: int) -> int | None:
+        """Return the begin of a shift that is over by now; one that does not end in 4 s is skipped."""
+        begin_ns = self.begin_ns
+        if begin_ns is None:
+            return None
+        if self._energised:
+            if now_ns - begin_ns > 4_000_000_000:
+                self.skipped["energised for more than 4 s"] += 1
+                self.begin_ns = None
+            return None
+        if now_ns < self._off_ns + self._VENTED_NS:
+            return None
+        self.begin_ns = None
+        return begin_ns
+
+    def finish(self, last_ns: int) -> int | None:
+        """Return the begin of the shift that the end of the log completes, `last_ns` its last pulse."""
+        begin_ns, self.begin_ns = self.begin_ns, None
+        if begin_ns is not None and (self._energised or last_ns < self._off_ns + 200_000_000):
+            self.skipped["without its end in the log"] += 1
+            return None
+        return begin_ns

@@ -1,0 +1,319 @@
+"""What one sender reports of its shifts: the flag of ETC1, and the gears of ETC2.
+
+Values out of range are None and nothing is refused: the codec of `can_dbc` is strict and has the
+project's own source address only. Layouts: SAE J1939-71, PGN 61442 and 61445.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Final, NamedTuple
+
+PGN_ETC1: Final = 61442
+PGN_ETC2: Final = 61445
+SETTLE_NS: Final = 1_000_000_000
+"""After a shift the reported gear may lag so long behind (ETC2 comes every 100 ms)."""
+
+MIN_SILENCE_NS: Final = 1_000_000_000
+"""A sender that is not recorded for longer was silent, or the recorder was."""
+
+RATIO_WINDOW_NS: Final = 500_000_000
+"""Shaft speeds are compared over this time before and after a shift."""
+
+RATIO_SETTLE_NS: Final = 100_000_000
+
+
+def shift_in_process(data: bytes) -> bool | None:
+    """Return SPN 574 of an ETC1, None for error and not available."""
+    return (False, True, None, None)[data[0] >> 4 & 3]
+
+
+def word_at(data: bytes, byte: int) -> int | None:
+    """Return a two-byte number, None above the valid range."""
+    value = data[byte] | data[byte + 1] << 8
+    return value if value <= 0xFAFF else None
+
+
+def gear_at(data: bytes, byte: int) -> int | None:
+    """Return a gear, -124..125, 126 for park, None if not available (SPN 523, 524).
+
+    0, reverse gear 125, is sent by units that have nothing to report yet.
+    """
+    value = data[byte]
+    return value - 125 if 1 <= value <= 0xFB else None
+
+
+@dataclass(slots=True)
+class Silences:
+    """The times in which a sender was not recorded: `add` each, and count its samples."""
+
+    samples: int = 0
+    _gaps: list[tuple[int, int]] = field(default_factory=list)
+
+    def add(self, last_ns: int, time_ns: int) -> None:
+        """Take the times of two samples in a row that are farther apart than `MIN_SILENCE_NS`."""
+        self._gaps.append((last_ns, time_ns))
+
+    def within(self, begin_ns: int, end_ns: int) -> int:
+        """Return the ns of the silences that overlap a time; none count in a log sampled slowly."""
+        if 10 * len(self._gaps) > self.samples:
+            return 0
+        return sum(b - a for a, b in self._gaps if a < end_ns and b >= begin_ns)
+
+
+@dataclass(slots=True)
+class FlaggedShift:
+    """A time in which the flag was up, and the speed ratios (input by output) around it.
+
+    silent_ns: how long the sender was not recorded meanwhile.
+    """
+
+    start_ns: int
+    end_ns: int
+    chatter: int
+    from_ratio: float | None
+    to_ratio: float | None = None
+    silent_ns: int = 0
+
+
+@dataclass(slots=True)
+class FlagTracker:
+    """Follows the flag of one sender.
+
+    A change counts from its first sample, once a second sample or 50 ms confirms it.
+    flagged: whether there was a valid flag; chatter: samples taken out as chatter;
+    unfinished: shifts of which the log has no beginning or no end.
+    """
+
+    flagged: bool = False
+    chatter: int = 0
+    unfinished: int = 0
+    clock_steps: int = 0
+    shifts: list[FlaggedShift] = field(default_factory=list)
+    silences: Silences = field(default_factory=Silences)
+    _state: bool | None = None
+    _begun_ns: int | None = None
+    _doubt_ns: int | None = None
+    _shift_chatter: int = 0
+    _from_ratio: float | None = None
+    _last_ns: int = -(2**63)
+    _samples: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=1024))
+    _settled_ns: int = 2**63
+    _settling: FlaggedShift | None = None
+
+    def take(self, time_ns: int, data: bytes) -> bool | None:
+        """Take one ETC1 and return its flag; one that is there twice at an instant counts once."""
+        last_ns = self._last_ns
+        if not last_ns < time_ns <= last_ns + MIN_SILENCE_NS and self._samples:
+            if time_ns > last_ns:
+                self.silences.add(last_ns, time_ns)
+            elif time_ns < last_ns:
+                self._restart()
+            elif data == self._samples[-1][1]:
+                return None
+        self._last_ns = time_ns
+        self.silences.samples += 1
+        self._samples.append((time_ns, data))
+        if time_ns > self._settled_ns:
+            self._settle()
+        flag = shift_in_process(data)
+        if flag is not None and (flag is not self._state or self._doubt_ns is not None):
+            self.flagged = True
+            self._flag(time_ns, flag)
+        return flag
+
+    def _restart(self) -> None:
+        """Begin anew after a step of the clock backwards."""
+        self.clock_steps += 1
+        self._settle()
+        if self._state:
+            self.unfinished += 1
+        self._state = self._begun_ns = self._doubt_ns = None
+        self._samples.clear()
+
+    def _flag(self, time_ns: int, flag: bool) -> None:
+        doubt_ns = self._doubt_ns
+        if self._state is None:
+            self._state = flag
+        elif flag is not self._state:
+            if doubt_ns is None:
+                self._doubt_ns = time_ns
+            else:
+                self._change(doubt_ns)
+        elif doubt_ns is not None:  # one sample differed, then the old state came again
+            self._doubt_ns = None
+            if time_ns - doubt_ns < 50_000_000:
+                self.chatter += 1
+                self._shift_chatter += 1
+            else:
+                self._change(doubt_ns)
+                self._change(time_ns)
+
+    def _change(self, time_ns: int) -> None:
+        """Record a change of the flag at this time."""
+        self._doubt_ns = None
+        if not self._state:
+            self._settle()
+            self._state, self._begun_ns = True, time_ns
+            self._shift_chatter = 0
+            self._from_ratio = self._ratio(time_ns - RATIO_WINDOW_NS, time_ns)
+            return
+        self._state = False
+        if self._begun_ns is None:
+            self.unfinished += 1
+            return
+        shift = FlaggedShift(self._begun_ns, time_ns, self._shift_chatter, self._from_ratio)
+        self.shifts.append(shift)
+        self._settling = shift
+        self._settled_ns = time_ns + RATIO_SETTLE_NS + RATIO_WINDOW_NS
+        self._begun_ns = None
+
+    def _settle(self) -> None:
+        """Take the ratio after the last shift, from the samples that there are by now."""
+        shift, self._settling, self._settled_ns = self._settling, None, 2**63
+        if shift is not None:
+            begin_ns = shift.end_ns + RATIO_SETTLE_NS
+            shift.to_ratio = self._ratio(begin_ns, begin_ns + RATIO_WINDOW_NS)
+
+    def _ratio(self, begin_ns: int, end_ns: int) -> float | None:
+        """Return the median ratio of the shafts, of samples with an output above 20 rpm."""
+        ratios = []
+        for data in (data for time_ns, data in self._samples if begin_ns <= time_ns < end_ns):
+            output, shaft_in = word_at(data, 1), word_at(data, 5)
+            if output is not None and shaft_in is not None and output >= 160:
+                ratios.append(shaft_in / output)
+        return median(ratios) if ratios else None
+
+    def finish(self) -> None:
+        """Close what is open at the end of the log."""
+        if self._doubt_ns is not None and self._state:
+            self._change(self._doubt_ns)
+        self._settle()
+        if self._state:
+            self.unfinished += 1
+            self._state = None
+        for shift in self.shifts:
+            shift.silent_ns = self.silences.within(shift.start_ns, shift.end_ns)
+
+
+@dataclass(slots=True)
+class Run:
+    """Samples in a row with the same gears: current (SPN 523) and selected (SPN 524)."""
+
+    current: int | None
+    selected: int | None
+    first_ns: int
+    last_ns: int
+    samples: int = 1
+
+
+class GearChange(NamedTuple):
+    """A change of the reported current gear: last sample of the old, first of the new one."""
+
+    start_ns: int
+    end_ns: int
+    from_gear: int | None
+    to_gear: int | None
+
+
+@dataclass(slots=True)
+class GearHistory:
+    """The gears that one sender reports, as runs; memory grows with the changes, not with the log."""
+
+    chatter: int = 0
+    runs: list[Run] = field(default_factory=list)
+    silences: Silences = field(default_factory=Silences)
+    _last_ns: int = 0
+
+    def take(self, time_ns: int, data: bytes) -> bool:
+        """Take one ETC2; return whether its gears differ from those before."""
+        self.silences.samples += 1
+        if self.silences.samples > 1 and time_ns - self._last_ns > MIN_SILENCE_NS:
+            self.silences.add(self._last_ns, time_ns)
+        self._last_ns = time_ns
+        current, selected = gear_at(data, 3), gear_at(data, 0)
+        last = self.runs[-1] if self.runs else None
+        same = last is not None and (last.current, last.selected) == (current, selected)
+        if last is not None and same and time_ns >= last.last_ns:
+            last.last_ns = time_ns
+            last.samples += 1
+        elif len(self.runs) < 1_000_000:
+            self.runs.append(Run(current, selected, time_ns, time_ns))
+        return last is not None and not same
+
+    def gear_before(self, time_ns: int) -> int | None:
+        """Return the last valid current gear reported before a time."""
+        gear = None
+        for run in self.runs:
+            if run.first_ns > time_ns:
+                break
+            if run.current is not None:
+                gear = run.current
+        return gear
+
+    def gear_after(self, time_ns: int, until_ns: int) -> int | None:
+        """Return the current gear that a shift ended in.
+
+        The first one reported after `time_ns` that is also the selected one; without such a
+        one, the last one reported before `until_ns` or the settling time is over.
+        """
+        limit_ns = min(time_ns + SETTLE_NS, until_ns)
+        gear = None
+        for run in self.runs:
+            if run.last_ns < time_ns:
+                continue
+            if run.first_ns > limit_ns:
+                break
+            if run.current is None:
+                continue
+            gear = run.current
+            if run.selected is None or run.selected == run.current:
+                break
+        return gear
+
+    def changes(self) -> list[GearChange]:
+        """Shifts by the current gear alone; neutral for less than 2 s is taken as part of a shift.
+
+        A single sample of another gear between samples of the same gear is chatter. A gear that is
+        another after a step of the clock backwards is no shift: its time is not known.
+        """
+        stays = self._stays()
+        changes: list[GearChange] = []
+        index = 0
+        while index + 1 < len(stays):
+            here, there = stays[index], stays[index + 1]
+            step = 1
+            if there.current == 0 and index + 2 < len(stays):
+                beyond = stays[index + 2]
+                if beyond.first_ns - there.first_ns < 2_000_000_000:
+                    there, step = beyond, 2
+            if here.current != there.current and here.last_ns <= there.first_ns:
+                changes.append(
+                    GearChange(here.last_ns, there.first_ns, here.current, there.current)
+                )
+            index += step
+        return changes
+
+    def _stays(self) -> list[Run]:
+        """Return the runs by the current gear alone, without invalid ones and without chatter."""
+        self.chatter = 0
+        stays: list[Run] = []
+        for run in self.runs:
+            if run.current is None:
+                continue
+            if stays and stays[-1].current == run.current and run.first_ns >= stays[-1].last_ns:
+                stays[-1].last_ns = run.last_ns
+                stays[-1].samples += run.samples
+                continue
+            stays.append(Run(run.current, None, run.first_ns, run.last_ns, run.samples))
+            if len(stays) < 3:
+                continue
+            before, odd, after = stays[-3:]
+            if odd.samples == 1 and odd.current != 0 and before.current == after.current:
+                self.chatter += 1
+                del stays[-2:]
+                before.last_ns = after.last_ns
+                before.samples += after.samples
+        return stays
