@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError, RunError
+from sil.files.overrides import Settings
 from sil.studies.design import MAX_ROWS, Design, Sweep, Value, design_points, design_size
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 Setting = Value | list[dict[str, Value] | Value]
 """What a choice may set: a value, or a list of values or of tables (requests, faults)."""
-Settings = Mapping[str, Setting]
-"""Values by the path that --set takes."""
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
 Outcome = Literal["passed", "failed", "not run"]
 """failed: the row ran and did not meet what is expected of it. not run: a participant died or the

@@ -25,11 +25,12 @@ from plant.systems.stroke import simulate
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import frame_bits
+from sil.files.overrides import Settings
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels
-from sil.studies.study import Row, RowResult, ScenarioStudy, Settings, Study, Table
+from sil.studies.study import Row, RowResult, ScenarioStudy, Study, Table
 
 THESIS_DELAYS_S = {"sensor": 0.030, "velocity": 0.010, "valve": 0.008}
 """Delays of information and of a valve as the thesis counts them (4.2.1)."""

@@ -15,11 +15,12 @@ from can_dbc import typed_toml
 from can_dbc.errors import RunError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
+from sil.files.overrides import Settings
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from sil.studies.kinds.runs import RunsStudy
 from sil.studies.policies import GEARBOX, PUSH, Arrivals, FamilyModel
-from sil.studies.study import Setting, Settings, Study
+from sil.studies.study import Setting, Study
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
@@ -89,12 +90,13 @@ class Case:
 
         Raises InputError for settings that a scenario does not accept, RunError if a run fails.
         """
-        for measure in (headline.more, headline.less):
-            key = msgspec.json.encode(measure)
-            if key not in self._values:
-                self._values[key] = self._measured(measure)
-        more, less = (self._values[msgspec.json.encode(m)] for m in (headline.more, headline.less))
-        return more - less
+        return self._value(headline.more) - self._value(headline.less)
+
+    def _value(self, measure: Measure) -> float:
+        key = msgspec.json.encode(measure)
+        if key not in self._values:
+            self._values[key] = self._measured(measure)
+        return self._values[key]
 
     def _measured(self, measure: Measure) -> float:
         if measure.value is not None:
@@ -107,7 +109,7 @@ class Case:
             impulses_n_s = [case.sync_impulse_n_s for case in GEARBOX.cases]
             one = measure.impulse_n_s
             return float(values.max() if one is None else values[impulses_n_s.index(one)])
-        shifts = self._rows(measure) if measure.study else [self._changed(measure)]
+        shifts = self._rows(measure) if measure.study else [(measure.scenario, measure.set)]
         return max(self._last_shift(*shift)[measure.of == "arrival_s"] for shift in shifts)
 
     def _pushed(self, load: str) -> Arrivals:
@@ -125,54 +127,40 @@ class Case:
                 raise RunError(str(error)) from None
         return self._arrivals[load]
 
-    def _changed(self, measure: Measure) -> tuple[str, dict[str, Setting]]:
-        """Return a scenario and its settings under the conditions."""
-        conditions, settings = self.conditions, dict(measure.set)
-        plain = load_scenario.load(measure.scenario, settings=settings).scenario
-        if conditions.supply_pressure_pa is not None:
-            settings["plant.supply_pressure_pa"] = conditions.supply_pressure_pa
-        if conditions.mesh_force_n is not None and plain.plant.mounted:
-            settings["plant.mesh_force_n"] = conditions.mesh_force_n
-        impulse_n_s = plain.driveline.impulse_backward_n_s
-        if impulse_n_s is not None:
-            settings["driveline.impulse_backward_n_s"] = impulse_n_s * conditions.impulse_factor
-        return measure.scenario, settings
-
-    def _rows(self, measure: Measure) -> Iterator[tuple[str, dict[str, Setting]]]:
-        """Yield the scenario and the settings under the conditions of the rows of a study."""
+    def _rows(self, measure: Measure) -> Iterator[tuple[str, Settings]]:
+        """Yield the scenario and the settings of the rows of a study, scattered by the factor."""
         path = Path(__file__).parents[1] / "shipped" / f"{measure.study}.toml"
         file = typed_toml.convert(typed_toml.read_toml(path), RunsStudy, str(path))
-        study, conditions = Study(file, str(path)), self.conditions
+        study, factor = Study(file, str(path)), self.conditions.scatter_factor
+        scattered = {s.path: 0.5 * sum(s.ends) for s in file.sweep if s.scale == "normal"}
         for row in itertools.islice(study.rows(), measure.points * study.size // len(study.points)):
-            if (
-                not measure.choices.items()
-                <= dict(zip(file.groups, row.choices, strict=True)).items()
-            ):
-                continue
-            value: dict[str, float] = {p: x for p, x in row.settings.items() if type(x) is float}
-            for sweep in file.sweep:
-                if sweep.scale == "normal":
-                    centre = 0.5 * sum(sweep.ends)
-                    value[sweep.path] = centre + conditions.scatter_factor * (
-                        value[sweep.path] - centre
-                    )
-            if conditions.supply_pressure_pa is not None:
-                value["plant.supply_pressure_pa"] *= (
-                    conditions.supply_pressure_pa / PUSH.supply_pressure_pa
-                )
-            if conditions.mesh_force_n is not None:
-                value["plant.mesh_force_n"] = conditions.mesh_force_n
-            value["driveline.impulse_backward_n_s"] *= conditions.impulse_factor
-            yield file.scenario, {**row.settings, **value}
+            choices = dict(zip(file.groups, row.choices, strict=True))
+            if measure.choices.items() <= choices.items():
+                changes = {
+                    path: centre + factor * (row.settings[path] - centre)
+                    for path, centre in scattered.items()
+                }
+                yield file.scenario, {**row.settings, **changes}
 
     def _last_shift(self, scenario: str, settings: Settings) -> tuple[float, float]:
         """Return hardest impact in m/s and arrival in s of a scenario's last shift.
 
         One that does not arrive counts as 2 m/s, harder than every impact, and 1 s.
         """
+        conditions, changes = self.conditions, dict(settings)
+        plain = load_scenario.load(scenario, settings=settings).scenario
+        if conditions.supply_pressure_pa is not None:
+            supply_pa = plain.plant.supply_pressure_pa or PUSH.supply_pressure_pa
+            share = conditions.supply_pressure_pa / PUSH.supply_pressure_pa
+            changes["plant.supply_pressure_pa"] = supply_pa * share
+        if conditions.mesh_force_n is not None and plain.plant.mounted:
+            changes["plant.mesh_force_n"] = conditions.mesh_force_n
+        impulse_n_s = plain.driveline.impulse_backward_n_s
+        if impulse_n_s is not None:
+            changes["driveline.impulse_backward_n_s"] = impulse_n_s * conditions.impulse_factor
         model = None if self.model == "nominal" else self.model
-        changed = {**self.settings, **settings}
-        shift = run_in_memory(load_scenario.load(scenario, model=model, settings=changed)).shifts[
+        changes = {**self.settings, **changes}
+        shift = run_in_memory(load_scenario.load(scenario, model=model, settings=changes)).shifts[
             -1
         ]
         if shift.arrived_s is None or shift.impact_worst_m_s is None:

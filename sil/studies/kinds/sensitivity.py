@@ -79,20 +79,22 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         return RowResult(margins | {"failed": 0.0})
 
     def _case(self, row: Row) -> Case:
-        by_group: dict[str, dict[str, float]] = {"factor": {}, "stroke": {}}
+        factors: dict[str, float] = {}
+        conditions: dict[str, float] = {}
         model: dict[str, Number] = {}
         settings: dict[str, Setting] = {}
         for path, value in row.settings.items():
             if isinstance(value, (bool, str, list)):
                 raise InputError(f"{path}: {value!r}; expected a number")
             group, _, name = path.partition(".")
-            if group in by_group:
-                by_group[group][name] = float(value)
+            if group == "factor":
+                factors[name] = value
+            elif group == "stroke":
+                conditions[name] = value
             elif group in ("controller", "sensor"):
                 settings[path] = value
             else:
                 model[path] = float(value)
-        factors = by_group["factor"]
         for name, factor in factors.items():
             if name not in FACTORS:
                 raise InputError(f"factor.{name}: unknown; expected one of {', '.join(FACTORS)}")
@@ -103,10 +105,8 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
             if factors.get(name, 1.0) != 1.0:
                 model |= change(parameters, factors[name])
                 parameters = parameters.override(model)
-        for path, number in model.items():
-            settings[path] = list(number) if isinstance(number, tuple) else number
-        conditions = typed_toml.convert(by_group["stroke"], Conditions, key="stroke")
-        return Case(self.model, parameters, settings, conditions)
+        under = typed_toml.convert(conditions, Conditions, key="stroke")
+        return Case(self.model, parameters, {**settings, **model}, under)
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:
         """Return for each headline its margin over each parameter, or the total index of each."""

@@ -19,11 +19,12 @@ from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
 from plant.parameters import load
 from plant.systems.stroke import Stroke, simulate
+from sil.files.overrides import Settings
 from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
 from sil.report.theme import SERIES
 from sil.simulation.impacts import PICK_UP, counted, worst_speed_m_s
 from sil.studies.figures import pareto_figure, row_labels, swept_figures, title_of
-from sil.studies.study import Row, RowResult, Settings, Study, StudyFile, Table
+from sil.studies.study import Row, RowResult, Study, StudyFile, Table
 
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=60.0)]
 

@@ -27,12 +27,13 @@ import numpy as np
 
 from can_dbc.errors import InputError, RunError
 from controller import strategies
+from sil.files.overrides import Settings
 from sil.report.figure import Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels, title_of
 from sil.studies.kinds.budget import filter_delay_s
-from sil.studies.study import Choice, Row, RowResult, ScenarioStudy, Settings, Study, Table
+from sil.studies.study import Choice, Row, RowResult, ScenarioStudy, Study, Table
 
 FAILED_M_S = 10.0
 BUS_S = 0.0004

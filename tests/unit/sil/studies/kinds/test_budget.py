@@ -10,10 +10,10 @@ from scipy import signal
 
 from controller.settings import FilterConfig
 from plant.parameters import load as load_parameters
+from sil.files.overrides import Settings
 from sil.simulation.load_scenario import load
 from sil.studies.kinds import budget as budgets
 from sil.studies.kinds.budget import BARS, THESIS_DELAYS_S, NoBudgetError, budget_of, simulated
-from sil.studies.study import Settings
 
 
 @pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])

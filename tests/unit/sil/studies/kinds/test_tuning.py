@@ -9,11 +9,11 @@ import pytest
 
 from controller import strategies
 from sil.cli import main
+from sil.files.overrides import Settings
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded, load
 from sil.studies.kinds import tuning
 from sil.studies.kinds.tuning import Arrival, TuningTable
-from sil.studies.study import Settings
 
 
 def lab(settings: Settings) -> Loaded:
