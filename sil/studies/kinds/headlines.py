@@ -60,7 +60,7 @@ def shipped_headlines() -> tuple[Headline, ...]:
     return typed_toml.convert(tables, tuple[Headline, ...], str(path))
 
 
-class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RowConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a row changes of all strokes and shifts; None: as each headline has it.
 
     impulse_factor: on what the synchronizer asks for; scatter_factor: on the scatter of a study.
@@ -79,7 +79,7 @@ class Case:
     model: str
     parameters: ParameterSet
     settings: Settings
-    conditions: Conditions
+    conditions: RowConditions
 
     def __post_init__(self) -> None:
         self._values: dict[bytes, float] = {}

@@ -1,7 +1,7 @@
 """Rows that weigh assumptions: by how much each headline holds under other inferred numbers.
 
 A row sets parameters of the model, `factor.NAME` (see `sil.studies.assumptions`), conditions of the
-strokes, `stroke.NAME` (`sil.studies.kinds.headlines.Conditions`), and filter and latency of the runs in
+strokes, `stroke.NAME` (`sil.studies.kinds.headlines.RowConditions`), and filter and latency of the runs in
 closed loop. Each figure is a margin: the headline holds where it is positive. Designs:
 `one_at_a_time` gives the range in which each headline holds; `radial` gives Sobol's total indices by
 Jansen's estimator, with bootstrapped intervals.
@@ -22,7 +22,7 @@ from sil.recording.runs import true_runs
 from sil.report.figure import Figure, Panel, Rule, Span, Stack
 from sil.studies.assumptions import FACTORS, NOT_VARIED
 from sil.studies.figures import metric_of, numbered, title_of
-from sil.studies.kinds.headlines import Case, Conditions, Headline, shipped_headlines
+from sil.studies.kinds.headlines import Case, Headline, RowConditions, shipped_headlines
 from sil.studies.study import Row, RowResult, Setting, Study, StudyFile, Table
 from sil.studies.table import markdown
 
@@ -58,7 +58,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         for path, value in pairs:
             group, _, name = path.partition(".")
             if group == "stroke":
-                typed_toml.convert({name: value}, Conditions, source, "stroke")
+                typed_toml.convert({name: value}, RowConditions, source, "stroke")
 
     def columns(self) -> tuple[str, ...]:
         """Return the margins of the headlines."""
@@ -105,7 +105,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
             if factors.get(name, 1.0) != 1.0:
                 model |= change(parameters, factors[name])
                 parameters = parameters.override(model)
-        under = typed_toml.convert(conditions, Conditions, key="stroke")
+        under = typed_toml.convert(conditions, RowConditions, key="stroke")
         return Case(self.model, parameters, {**settings, **model}, under)
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:

@@ -69,7 +69,7 @@ SPACES: Mapping[str, Mapping[str, tuple[float, float]]] = {
 
 
 @dataclass(frozen=True)
-class Arrival:
+class LoadShift:
     """Hardest impact and shift time under one load; infinite, with the reason, for a failed shift."""
 
     speed_m_s: float = math.inf
@@ -79,11 +79,11 @@ class Arrival:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Trial:
     """Parameters, the arrival under each load, and the cost."""
 
     parameters: Mapping[str, float]
-    arrivals: tuple[Arrival, ...]
+    arrivals: tuple[LoadShift, ...]
     cost_m_s: float
 
 
@@ -214,7 +214,7 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         return {"tuning": Figure([stack], title_of(study))}
 
 
-def cost_m_s(arrival: Arrival, reference: Arrival, free_s: float, late_m_s2: float) -> float:
+def cost_m_s(arrival: LoadShift, reference: LoadShift, free_s: float, late_m_s2: float) -> float:
     """Return the cost of one load."""
     if not math.isfinite(arrival.time_s):
         return FAILED_M_S
@@ -279,7 +279,7 @@ def hardware_settings(strategy: str, hardware: Loaded) -> dict[str, float]:
     }
 
 
-def run_case(load: Load, strategy: str, values: Mapping[str, float], case: Settings) -> Arrival:
+def run_case(load: Load, strategy: str, values: Mapping[str, float], case: Settings) -> LoadShift:
     """Run one closed-loop shift of a strategy with parameter values; case: settings of the load."""
     settings = {**case, "controller.strategy": strategy}
     settings |= hardware_settings(strategy, load(settings))
@@ -287,35 +287,35 @@ def run_case(load: Load, strategy: str, values: Mapping[str, float], case: Setti
     try:
         shift = run_in_memory(load(settings)).shifts[-1]
     except RunError as error:
-        return Arrival(reason=" ".join(str(error).split()), died=True)
+        return LoadShift(reason=" ".join(str(error).split()), died=True)
     if shift.shift_time_s is None:
-        return Arrival(reason="the shift did not arrive")
+        return LoadShift(reason="the shift did not arrive")
     if shift.confirmed_s is None:
-        return Arrival(reason="the controller did not confirm the gear")
+        return LoadShift(reason="the controller did not confirm the gear")
     if shift.confirmed_early_s:
-        return Arrival(reason="the controller confirmed the gear before the stay arrived")
-    return Arrival(shift.impact_worst_m_s or 0.0, shift.shift_time_s)
+        return LoadShift(reason="the controller confirmed the gear before the stay arrived")
+    return LoadShift(shift.impact_worst_m_s or 0.0, shift.shift_time_s)
 
 
 def tune(
     load: Load,
     strategy: str,
     cases: Sequence[Settings],
-    reference: Sequence[Arrival],
+    reference: Sequence[LoadShift],
     table: TuningTable,
-) -> list[Candidate]:
+) -> list[Trial]:
     """Return all candidates of a strategy, the best first.
 
     cases: settings of each load; reference: the arrivals of the open loop under each.
     """
 
-    def candidate(values: Mapping[str, float]) -> Candidate:
+    def candidate(values: Mapping[str, float]) -> Trial:
         arrivals = tuple(run_case(load, strategy, values, case) for case in cases)
         costs = [
             cost_m_s(arrival, plain, table.free_s, table.late_m_s2)
             for arrival, plain in zip(arrivals, reference, strict=True)
         ]
-        return Candidate(values, arrivals, 0.5 * (max(costs) + sum(costs) / len(costs)))
+        return Trial(values, arrivals, 0.5 * (max(costs) + sum(costs) / len(costs)))
 
     first = spread_values(strategy, table.candidates - table.candidates // 2, table.seed)
     candidates = [candidate(each) for each in first]

@@ -13,7 +13,7 @@ from sil.files.overrides import Settings
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded, load
 from sil.studies.kinds import tuning
-from sil.studies.kinds.tuning import Arrival, TuningTable
+from sil.studies.kinds.tuning import LoadShift, TuningTable
 
 
 def lab(settings: Settings) -> Loaded:
@@ -29,10 +29,10 @@ QUICK: Settings = {
 
 
 def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
-    reference = Arrival(0.9, 0.05)
-    assert tuning.cost_m_s(Arrival(0.3, 0.08), reference, 0.034, 10.0) == 0.3
-    assert tuning.cost_m_s(Arrival(0.3, 0.104), reference, 0.034, 10.0) == pytest.approx(0.5)
-    failed = Arrival()
+    reference = LoadShift(0.9, 0.05)
+    assert tuning.cost_m_s(LoadShift(0.3, 0.08), reference, 0.034, 10.0) == 0.3
+    assert tuning.cost_m_s(LoadShift(0.3, 0.104), reference, 0.034, 10.0) == pytest.approx(0.5)
+    failed = LoadShift()
     assert tuning.cost_m_s(failed, reference, 0.034, 10.0) == tuning.FAILED_M_S
 
 
