@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
 Where = str | Path
 
-ROWS_SHOWN = 20
-"""Rows of a sweep that a notebook shows."""
-
 
 @dataclass(frozen=True)
 class Sweep:
@@ -62,7 +59,7 @@ class Sweep:
 
     def _repr_html_(self) -> str:
         columns = [*self.texts.values(), *([f"{v:.6g}" for v in c] for c in self.numbers.values())]
-        rows = list(zip(*columns, strict=True))[:ROWS_SHOWN]
+        rows = list(zip(*columns, strict=True))[:20]
         return html_table(repr(self), [*self.texts, *self.numbers], rows)
 
     def to_pandas(self) -> pandas.DataFrame:

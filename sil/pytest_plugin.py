@@ -41,8 +41,8 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFi
     relative = file_path.relative_to(root)
     if not any(relative.match(pattern) for pattern in wanted):
         return None
-    found: ScenarioFile = ScenarioFile.from_parent(parent, path=file_path)
-    return found
+    scenario_file: ScenarioFile = ScenarioFile.from_parent(parent, path=file_path)
+    return scenario_file
 
 
 class ScenarioFile(pytest.File):

@@ -163,11 +163,11 @@ def _transports() -> dict[str, Any]:
 
 
 def _print(figures: dict[str, Any]) -> None:
-    found = figures["transports"]
-    print("transports: inproc, local" + "".join(f", {name}" for name in found["can"]))
-    if not found["can"]:
+    transports = figures["transports"]
+    print("transports: inproc, local" + "".join(f", {name}" for name in transports["can"]))
+    if not transports["can"]:
         print("  no CAN interface on this machine")
-    for name in found["local_runs"]:
+    for name in transports["local_runs"]:
         print(f"  a run listens on local:{name}")
     print(
         f"bus: {figures['bitrate']} bit/s, {100 * figures['worst_case_load']:.1f} % loaded at worst"

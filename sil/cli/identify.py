@@ -40,22 +40,22 @@ def run(arguments: argparse.Namespace) -> int:
     name = f"{campaign.name}-{arguments.what}"
     folder = prepare_folder(arguments.out, name, arguments.force)
     with Progress(f"identifying {arguments.what}", "steps") as progress:
-        found: Identified = method(campaign, parameters, progress)
-    write_atomically(folder / "model.toml", model_of(found, parameters))
-    save(found.figure, folder, arguments.what)
+        result: Identified = method(campaign, parameters, progress)
+    write_atomically(folder / "model.toml", model_of(result, parameters))
+    save(result.figure, folder, arguments.what)
     if arguments.json:
         table = {
-            "what": found.what,
+            "what": result.what,
             "out": str(folder),
-            "estimates": [asdict(item) for item in found.estimates],
-            "by_thesis": [asdict(item) for item in found.by_thesis],
-            "notes": list(found.notes),
-            "fits": found.fits,
-            "over_noise": found.over_noise,
+            "estimates": [asdict(item) for item in result.estimates],
+            "by_thesis": [asdict(item) for item in result.by_thesis],
+            "notes": list(result.notes),
+            "fits": result.fits,
+            "over_noise": result.over_noise,
         }
         print(json.dumps(finite(table)))
-        return 0 if found.fits else 1
-    for title, items in (("", found.estimates), ("the thesis's way:", found.by_thesis)):
+        return 0 if result.fits else 1
+    for title, items in (("", result.estimates), ("the thesis's way:", result.by_thesis)):
         if title and items:
             print(title)
         for item in items:
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
                 if item.low is not None and item.high is not None:
                     shown += f"  ({item.low:.5g} to {item.high:.5g})"
             print(f"{item.path:24} {shown} {parameters[item.path].unit}")
-    for line in (*found.notes, found.judgement):
+    for line in (*result.notes, result.judgement):
         print(line)
     print(f"model file and picture in {folder}")
-    return 0 if found.fits else 1
+    return 0 if result.fits else 1

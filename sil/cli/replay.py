@@ -80,10 +80,6 @@ ARGUMENTS = (
 )
 
 
-_PASSED_ON = ("log", "firmware", "run", "dbc", "plant", "closed_loop")
-_FIGURES = ("scene_", "positions", "shift")
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Replay a log, or list its gear shifts. Raises InputError for options that exclude each other."""
     from can_dbc.errors import InputError
@@ -111,33 +107,36 @@ def run(arguments: argparse.Namespace) -> int:
             reader=_open(arguments),
             options=load_options(arguments.options) if arguments.options else Options(),
             reference=reference,
-            **{name: getattr(arguments, name) for name in _PASSED_ON},
+            **{
+                name: getattr(arguments, name)
+                for name in ("log", "firmware", "run", "dbc", "plant", "closed_loop")
+            },
         )
         outcome = replay(request)
     _report(arguments, outcome, summary, replay_page)
     return 1 if outcome.differs else 0
 
 
-def _report(arguments: argparse.Namespace, found: Any, summary: Any, page: Any) -> None:
+def _report(arguments: argparse.Namespace, outcome: Any, summary: Any, page: Any) -> None:
     """Write the files of a replay and print it: a log that is refused leaves no folder behind.
 
     `summary`: module with text, as_dict and summary_lines of what was found; `page`: its page.
     """
-    values = summary.as_dict(found)
+    values = summary.as_dict(outcome)
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
     parent = Path(arguments.log).resolve().parent.name
     name = f"replay-{parent}" if stem == "bus" else f"replay-{stem}"
     folder = _prepared(arguments, name)
     files = {
-        "diff.txt": summary.text(found),
-        "report.html": page(found, values, shlex.join(["opc4", *sys.argv[1:]]), folder),
+        "diff.txt": summary.text(outcome),
+        "report.html": page(outcome, values, shlex.join(["opc4", *sys.argv[1:]]), folder),
         "diff.json": json.dumps(values, ensure_ascii=False, indent=1) + "\n",
     }
     _complete(folder, files)
     if arguments.json:
         print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
     else:
-        print("\n".join([*summary.summary_lines(found), f"  {_listing(folder)}"]))
+        print("\n".join([*summary.summary_lines(outcome), f"  {_listing(folder)}"]))
 
 
 def _prepared(arguments: argparse.Namespace, name: str) -> Path:
@@ -147,7 +146,10 @@ def _prepared(arguments: argparse.Namespace, name: str) -> Path:
     logs = [arguments.log, *arguments.more_logs]
     folder = prepare_folder(arguments.out, name, arguments.force, inputs=logs)
     for figure in folder.glob("*.*"):
-        if figure.stem.startswith(_FIGURES) and figure.suffix in (".png", ".svg"):
+        if figure.stem.startswith(("scene_", "positions", "shift")) and figure.suffix in (
+            ".png",
+            ".svg",
+        ):
             figure.unlink()
     return folder
 
@@ -188,19 +190,19 @@ def _truck(arguments: argparse.Namespace) -> int | None:
         raise InputError(f"--map: a truck's log has no commands for --{name}; expected one of them")
     if given or (arguments.dbc is not None and arguments.map is None):
         return None
-    found = truck_replay.replay_truck(
+    comparison = truck_replay.replay_truck(
         _open(arguments),
         map=arguments.map,
         dbc=arguments.dbc,
         settings=arguments.settings,
         firmware=arguments.firmware,
     )
-    if found is None:
+    if comparison is None:
         return None
     from sil.replay.truck_page import truck_page
 
-    _report(arguments, found, truck_replay, truck_page)
-    return 1 if found.failed else 0
+    _report(arguments, comparison, truck_replay, truck_page)
+    return 1 if comparison.failed else 0
 
 
 def _open(arguments: argparse.Namespace) -> Logs:
@@ -220,11 +222,11 @@ def _summary(arguments: argparse.Namespace) -> int:
         what = "not together with --summary, which replays nothing; expected one of them"
         raise InputError(f"--{option}: {what}")
     reader = _open(arguments)
-    found = summarize(reader)
+    summary = summarize(reader)
     report = reader.report
-    if not any(pgn in (PGN_ETC1, PGN_ETC2) for pgn, _ in found.groups):
+    if not any(pgn in (PGN_ETC1, PGN_ETC2) for pgn, _ in summary.groups):
         raise InputError(
-            f"{reader.path}: no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {found.frames} "
+            f"{reader.path}: no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {summary.frames} "
             "frames; expected a log of a truck's transmission"
         )
     if report.time_base == "none":
@@ -232,8 +234,8 @@ def _summary(arguments: argparse.Namespace) -> int:
             f"{reader.path}: has no times, so that no shift time is known; expected a log with times "
             "(candump -L or -ta)"
         )
-    values = found.as_dict() | {"log_report": report.as_dict()}
-    lines = [f"{reader.path}: " + "\n".join(found.lines())]
+    values = summary.as_dict() | {"log_report": report.as_dict()}
+    lines = [f"{reader.path}: " + "\n".join(summary.lines())]
     if report.files or report.notes or not report.clean:
         lines += [f"log: {line}" for line in report.lines()[1:]]
     if arguments.out is not None:
@@ -241,7 +243,7 @@ def _summary(arguments: argparse.Namespace) -> int:
 
         folder = _prepared(arguments, "summary")
         call = shlex.join(["opc4", *sys.argv[1:]])
-        page = shifts_page(found, reader.path, call, folder)
+        page = shifts_page(summary, reader.path, call, folder)
         values["out"] = str(folder)
         _complete(
             folder, {"report.html": page, "summary.json": json.dumps(values, indent=1) + "\n"}

@@ -89,8 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(f"simulating {campaign.name}", "strokes") as progress:
         write_campaign(campaign, simulate_campaign(campaign, parameters, records), folder, note)
     if arguments.json:
-        found = {"campaign": campaign.name, "out": str(folder), "effects": stamps, "strokes": rows}
-        print(json.dumps(finite(found)))
+        report = {"campaign": campaign.name, "out": str(folder), "effects": stamps, "strokes": rows}
+        print(json.dumps(finite(report)))
     else:
         print(f"{counted(len(rows), 'stroke')} in {folder}", file=sys.stderr)
     return 0

@@ -232,20 +232,20 @@ os.register_at_fork(after_in_child=_close_locks)
 def _empty(folder: Path, force: bool) -> None:
     """Set aside what the folder holds of another run, or refuse it."""
     try:
-        held = sorted(RUN_FILES.intersection(p.name for p in folder.iterdir()))
+        run_files = sorted(RUN_FILES.intersection(p.name for p in folder.iterdir()))
     except OSError as error:
         raise _unusable(folder, error) from None
-    if held and not force:
+    if run_files and not force:
         raise InputError(
-            f"{folder}: --out: holds another run ({held[0]}); expected an empty folder, or --force"
+            f"{folder}: --out: holds another run ({run_files[0]}); expected an empty folder, or --force"
         )
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: --out: no permission; expected a folder to write in")
-    if held:
-        _set_aside(folder, held)
+    if run_files:
+        _set_aside(folder, run_files)
 
 
-def _set_aside(folder: Path, held: Sequence[str]) -> None:
+def _set_aside(folder: Path, run_files: Sequence[str]) -> None:
     """Move the files of a run into the folder's `previous`.
 
     If `previous` holds a complete run already, and the run in the folder is not complete, that one
@@ -257,7 +257,7 @@ def _set_aside(folder: Path, held: Sequence[str]) -> None:
         raise InputError(f"{previous}: not a folder; expected one, or none")
     delete = _is_complete(previous) and not _is_complete(folder)
     previous.mkdir(exist_ok=True)
-    for name in sorted(held, key=lambda name: name == RESULT or name in LAST_WRITTEN):
+    for name in sorted(run_files, key=lambda name: name == RESULT or name in LAST_WRITTEN):
         if delete:
             (folder / name).unlink()
         else:

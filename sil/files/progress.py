@@ -11,7 +11,6 @@ import time
 
 FIRST_AFTER_S = 2.0
 LINE_EVERY_S = 10.0
-BAR_EVERY_S = 0.1
 BAR_WIDTH = 30
 
 _silent = False
@@ -62,7 +61,7 @@ class Progress:
             rate = (done - self._first) / (now_s - self._began_s)
             text += f", {rate:.3g}{self._unit}/s, {(size - done) / rate:.0f} s left"
         if sys.stderr.isatty():
-            self._next_s = now_s + BAR_EVERY_S
+            self._next_s = now_s + 0.1
             full = round(BAR_WIDTH * share)
             bar = f"[{'#' * full}{'.' * (BAR_WIDTH - full)}] {text}"
             print("\r" + bar.ljust(len(self._shown)), end="", file=sys.stderr, flush=True)

@@ -49,12 +49,12 @@ def declare(
         options = {"causality": Fmi3Causality.output, "initial": Fmi3Initial.calculated}
     for name, value in start.items():
         setattr(slave, name, value)
-        own = dict(options)
+        details = dict(options)
         if descriptions:
-            own["description"] = descriptions[name]
+            details["description"] = descriptions[name]
         if units:
-            own["unit"] = units[name]
-        slave.register_variable(kind(name, variability=variability, **own))
+            details["unit"] = units[name]
+        slave.register_variable(kind(name, variability=variability, **details))
 
 
 def release_static_state(resources: str, class_name: str) -> bool:

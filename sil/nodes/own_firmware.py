@@ -32,7 +32,6 @@ from sil.coupling.transports.channel import ParticipantLost, Received, Turn
 if TYPE_CHECKING:
     from controller.config import FirmwareConfig
 
-DEFAULT_CLASS = "Firmware"
 LOAD_S, STEP_S = 60.0, 5.0
 """Wall time in s that loading the file with `__init__`, and one step, may take."""
 
@@ -64,7 +63,7 @@ class OwnController:
         self._server: _Server | None = _take_server()
         settings = msgspec.to_builtins(config)
         try:
-            self._ask(["load", file, class_name or DEFAULT_CLASS, settings, sys.path], LOAD_S)
+            self._ask(["load", file, class_name or "Firmware", settings, sys.path], LOAD_S)
         except ParticipantLost as lost:
             raise lost.at(0.0) from None
 
@@ -103,15 +102,21 @@ class OwnController:
                 server.ask_for_stack(signal.SIGUSR1)
                 what = f"no answer within {limit_s:g} s: it hangs"
                 raise ParticipantLost(self.name, f"failed: {self._place()}: {what}")
-            kind, found = _decoded(server)
+            kind, content = _decoded(server)
             if kind == "answer":
-                return found
+                return content
             if kind == "refused":
-                raise InputError(found if self.name == "controller" else f"{self.name}: {found}")
+                raise InputError(
+                    content if self.name == "controller" else f"{self.name}: {content}"
+                )
             if kind == "ended":
-                name = f"killed by {signal.Signals(-found).name}" if found < 0 else f"exit({found})"
-                found = f"{self._place()}: its process ended: {name}"
-            raise ParticipantLost(self.name, f"failed: {found}")
+                name = (
+                    f"killed by {signal.Signals(-content).name}"
+                    if content < 0
+                    else f"exit({content})"
+                )
+                content = f"{self._place()}: its process ended: {name}"
+            raise ParticipantLost(self.name, f"failed: {content}")
         except (OSError, EOFError):
             what = f"failed: {self._path}: its process was killed"
             raise ParticipantLost(self.name, what) from None
@@ -124,8 +129,8 @@ class OwnController:
         """Return FILE:LINE of the innermost call of the user's file on the stack that was written."""
         assert self._server is not None
         name = str(self._path).encode("ascii", "backslashreplace").decode()
-        found = re.search(rf'File "{re.escape(name)}", line (\d+)', self._server.stack())
-        return f"{self._path}:{found[1]}" if found else str(self._path)
+        match = re.search(rf'File "{re.escape(name)}", line (\d+)', self._server.stack())
+        return f"{self._path}:{match[1]}" if match else str(self._path)
 
 
 def absolute(where: str, folder: Path) -> str:

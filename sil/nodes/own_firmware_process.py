@@ -29,8 +29,6 @@ from controller.config import FirmwareConfig
 from controller.firmware import Inputs, Outputs
 from controller.node import ControllerNode, Steps
 
-_KILL_WITH_PARENT = 1  # PR_SET_PDEATHSIG
-
 
 class ProcessExit(BaseException):
     """The firmware called os._exit."""
@@ -112,11 +110,11 @@ def _load(path: Path, class_name: str, settings: Any) -> Steps:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses of the file look their module up
     spec.loader.exec_module(module)
-    found = getattr(module, class_name, None)
-    if not isinstance(found, type) or not callable(getattr(found, "step", None)):
+    firmware_class = getattr(module, class_name, None)
+    if not isinstance(firmware_class, type) or not callable(getattr(firmware_class, "step", None)):
         raise LookupError(f"no class {class_name!r} with a method 'step'; expected one")
-    made: Steps = found(msgspec.convert(settings, FirmwareConfig))
-    return made
+    firmware: Steps = firmware_class(msgspec.convert(settings, FirmwareConfig))
+    return firmware
 
 
 def _of_checkout(folder: Path, settings: Any) -> ControllerNode:
@@ -128,8 +126,8 @@ def _of_checkout(folder: Path, settings: Any) -> ControllerNode:
     sys.path.insert(0, str(folder))
     sys.dont_write_bytecode = True
     config, node = (importlib.import_module(f"controller.{name}") for name in ("config", "node"))
-    made: ControllerNode = node.ControllerNode(config.load_config(settings, "settings"))
-    return made
+    controller: ControllerNode = node.ControllerNode(config.load_config(settings, "settings"))
+    return controller
 
 
 def _described(path: Path, line: int, error: BaseException) -> str:
@@ -158,7 +156,8 @@ def _exit_in(process: int, leave: Callable[[int], Any]) -> Callable[[int], Any]:
 
 def _end_with(parent: int) -> None:
     """Let the kernel end this process with its parent, however that ends."""
-    ctypes.CDLL(None).prctl(_KILL_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    # PR_SET_PDEATHSIG: the parent's end kills this process, too
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         sys.exit()
 

@@ -22,13 +22,11 @@ Released = list[tuple[int, Frame]]
 """Frames with their release instants, ns."""
 
 TRAFFIC_WINDOW_NS = 10_000_000
-TRAFFIC_PGN = 0xFE00
 TRAFFIC_NODES = 16
 INTRUDER_STEP_NS = 1_000_000
 BABBLED_PGN, INTRUDER_SOURCE = 0xFE20, 0xFB
 _NS_PER_US = 1000
 _BILLION = 1_000_000_000
-_BILLIONTHS_PER_PPM = 1000
 
 
 class Node:
@@ -94,15 +92,15 @@ class _Load:
 
     def released(self, begin_ns: int) -> Released:
         """Return the frames of the window that begins at `begin_ns`."""
-        found = []
+        frames = []
         self._owed_ns += self._owed_per_window_ns
         while self._owed_ns > 0.0:
             frame = Frame(self._can_id(), self._random.randbytes(8))
             bits = frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
             self._owed_ns -= bits * self._bit_ns
             at_ns = begin_ns + self._random.randrange(self._instants) * _NS_PER_US
-            found.append((at_ns, frame))
-        return found
+            frames.append((at_ns, frame))
+        return frames
 
 
 class TrafficNode(Node):
@@ -119,7 +117,7 @@ class TrafficNode(Node):
 
         def can_id() -> int:
             source = 0x80 + draw.randrange(TRAFFIC_NODES)
-            return join_id(priority, TRAFFIC_PGN + draw.randrange(TRAFFIC_NODES), source)
+            return join_id(priority, 0xFE00 + draw.randrange(TRAFFIC_NODES), source)
 
         self._load = _Load(load, TRAFFIC_WINDOW_NS, bitrate, draw, can_id)
         self._next_ns = 0
@@ -206,7 +204,7 @@ class Drifting:
         self.name = participant.name
         self.close = participant.close
         self._inner = participant
-        self._own = _BILLION + round(ppm * _BILLIONTHS_PER_PPM)
+        self._own = _BILLION + round(ppm * 1000)
         self._before_own_ns = self._next_own_ns = 0
 
     def start(self) -> int:

@@ -50,7 +50,6 @@ PERIODS_NS = {
 """Period of each message; TSC1 only while the transmission controls the engine."""
 
 _STALE = E2eConfig(timeout_ns=50_000_000)
-_ATMOSPHERE_PA = 101_325.0
 _BY_PEDAL, _BY_TRANSMISSION = 1, 6
 
 
@@ -109,7 +108,7 @@ class VehicleNode(Node):
             Gear.FORWARD: config.gear_forward,
         }
         self._ratios = {Gear.BACKWARD: config.ratio_backward, Gear.FORWARD: config.ratio_forward}
-        self._air = Air1(max(0.0, supply_pressure_pa - _ATMOSPHERE_PA))
+        self._air = Air1(max(0.0, supply_pressure_pa - 101_325.0))  # above the atmosphere
         self._status = Receiver(ControllerStatus, _STALE)
         self._speeds = Receiver(DrivelineSpeeds, _STALE)
         self._receivers: dict[int, Receiver[Any]] = {

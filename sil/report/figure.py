@@ -199,14 +199,14 @@ class Stack:
         """Return the first and the last x of the content, or the limits."""
         if self.limits is not None:
             return self.limits
-        found: list[float] = []
+        ends: list[float] = []
         for panel in self.panels:
             for x in [*(s.x for s in panel.series), *(b.x for b in panel.bands)]:
-                found += _ends(x)
-            found += [v for s in panel.spans for v in (s.start, s.end) if isfinite(v)]
+                ends += _ends(x)
+            ends += [v for s in panel.spans for v in (s.start, s.end) if isfinite(v)]
         if self.ticks:
-            found += [self.ticks[0][0] - 0.5, self.ticks[-1][0] + 0.5]
-        low, high = (min(found), max(found)) if found else (0.0, 1.0)
+            ends += [self.ticks[0][0] - 0.5, self.ticks[-1][0] + 0.5]
+        low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
         return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
@@ -225,9 +225,9 @@ class Figure:
 
 def _ends(values: Iterable[float]) -> list[float]:
     """Return the least and the greatest finite value, or nothing."""
-    known = np.asarray(values, dtype=np.float64)
-    known = known[np.isfinite(known)]
-    return [float(known.min()), float(known.max())] if len(known) else []
+    finite = np.asarray(values, dtype=np.float64)
+    finite = finite[np.isfinite(finite)]
+    return [float(finite.min()), float(finite.max())] if len(finite) else []
 
 
 def spans_of(

@@ -34,9 +34,11 @@ def comparison_figure(before: Run, after: Run) -> Figure:
         _valves(before, after),
         Panel("Chamber pressures", "bar", pressures, height=170),
     ]
-    own = shift_zooms(after.record, after.shifts)
-    named = [Zoom(zoom.name, max(zoom.low, low), min(zoom.high, high)) for zoom in own]
-    stack = Stack("simulated time, ms", panels, zooms=named, limits=(low, high))
+    visible = [
+        Zoom(zoom.name, max(zoom.low, low), min(zoom.high, high))
+        for zoom in shift_zooms(after.record, after.shifts)
+    ]
+    stack = Stack("simulated time, ms", panels, zooms=visible, limits=(low, high))
     return Figure([stack])
 
 

@@ -21,13 +21,10 @@ if TYPE_CHECKING:
 PIXELS_PER_INCH = 80.0
 """Of a panel's height."""
 
-NOTE_POINTS = 13.0
-"""Height of the text of a note, with some room."""
 
 MOST_ZOOMS = 3
 """A picture shows this many parts of an axis side by side; a page has a button for each."""
 
-DOTS_PER_INCH = 110
 DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}
 STYLES: dict[str, dict[str, Any]] = {
     "line": {},
@@ -42,7 +39,7 @@ LETTER = 0.6
 View = tuple[float, float]
 
 
-def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = DOTS_PER_INCH) -> bytes:
+def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = 110) -> bytes:
     """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -98,29 +95,29 @@ def draw(figure: Figure) -> Drawing:
     head = (0.32 if figure.title else 0.08) + (0.2 if figure.subtitle or overview else 0.0)
     width = sum(column.width for column in columns) + 1.2
     height = head + sum(heights) + 0.16 * len(heights) + 0.5
-    made = Drawing(figsize=(width, height), facecolor=colour_of("paper"), layout="constrained")
-    layout: Any = made.get_layout_engine()
+    drawing = Drawing(figsize=(width, height), facecolor=colour_of("paper"), layout="constrained")
+    layout: Any = drawing.get_layout_engine()
     below_head = (0.0, 0.0, 1.0, 1.0 - head / height)
     layout.set(rect=below_head, h_pad=0.03, w_pad=0.06, hspace=0.0, wspace=0.0)
 
     def write(x: float, below: float, text: str, size: float, role: str, **style: Any) -> None:
         """Write a text `below` the upper edge, in inches."""
         style |= {"fontsize": size, "color": colour_of(role), "va": "top"}
-        made.text(x, 1.0 - below / height, text, **style)
+        drawing.text(x, 1.0 - below / height, text, **style)
 
     write(0.12 / width, 0.1, figure.title, 15, "ink", weight="bold")
     write(0.12 / width, 0.38, figure.subtitle, 9.5, "faint")
-    grid = made.add_gridspec(
+    grid = drawing.add_gridspec(
         len(heights), len(columns), height_ratios=heights, width_ratios=[c.width for c in columns]
     )
     if overview is not None:
         note = "top: the whole; shaded: enlarged below"
         write(1.0 - 0.12 / width, 0.38, note, 8.5, "faint", ha="right")
-        _overview(made.add_subplot(grid[0, :]), overview, columns)
+        _overview(drawing.add_subplot(grid[0, :]), overview, columns)
     for number, column in enumerate(columns):
         shown: set[str] = set()
         for row, panel in enumerate(column.panels):
-            axes = made.add_subplot(grid[row + (overview is not None), number])
+            axes = drawing.add_subplot(grid[row + (overview is not None), number])
             limits = _vertical(figure, columns, column, row)
             is_lowest = row == len(column.panels) - 1
             _draw_panel(axes, panel, column, limits, is_lowest)
@@ -135,7 +132,7 @@ def draw(figure: Figure) -> Drawing:
             elif column.is_first:
                 _name(axes, panel)
             if panel.scale is not None and number == len(columns) - 1:
-                _colour_bar(made, axes, panel)
+                _colour_bar(drawing, axes, panel)
             if row == 0 and column.stack.title and column.is_first:
                 axes.set_title(
                     column.stack.title,
@@ -144,7 +141,7 @@ def draw(figure: Figure) -> Drawing:
                     color=colour_of("ink"),
                     pad=6 + 14 * legend_rows,
                 )
-    return made
+    return drawing
 
 
 def _columns(stack: Stack) -> list[_Column]:
@@ -174,12 +171,12 @@ def _vertical(figure: Figure, columns: Sequence[_Column], column: _Column, row: 
     if panel.limits is not None:
         return panel.limits
     alike = [c for c in columns if row < len(c.panels)] if figure.same_scale else [column]
-    found = [v for c in alike for v in c.panels[row].heights(c.view)]
-    low, high = (min(found), max(found)) if found else (0.0, 1.0)
+    heights = [v for c in alike for v in c.panels[row].heights(c.view)]
+    low, high = (min(heights), max(heights)) if heights else (0.0, 1.0)
     room = 0.06 * (high - low) or abs(low) / 10 or 1.0
     low, high = low - room, high + room
     for note in panel.notes:  # a text stays inside of the panel
-        share = (abs(note.up) + NOTE_POINTS) / 72.0 * PIXELS_PER_INCH / panel.height
+        share = (abs(note.up) + 13.0) / 72.0 * PIXELS_PER_INCH / panel.height
         if note.up and share < 0.5 and column.view[0] <= note.x <= column.view[1]:
             if note.up > 0.0:
                 high = max(high, low + (note.y - low) / (1.0 - share))
@@ -358,7 +355,7 @@ def _name(axes: Axes, panel: Panel) -> None:
     axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=colour_of("ink"), fontsize=9)
 
 
-def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
+def _colour_bar(drawing: Drawing, axes: Axes, panel: Panel) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
@@ -366,7 +363,7 @@ def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
     assert scale is not None
     colours = LinearSegmentedColormap.from_list("scale", list(scale.colours))
     mappable = ScalarMappable(Normalize(scale.low, scale.high), colours)
-    made.colorbar(mappable, ax=axes, label=scale.label)
+    drawing.colorbar(mappable, ax=axes, label=scale.label)
 
 
 def _overview(axes: Axes, panel: Panel, columns: Sequence[_Column]) -> None:

@@ -40,9 +40,9 @@ def plots(figure: Figure, *, repeated: bool = True) -> list[Group]:
 
 
 def _group(stack: Stack, repeated: bool) -> Group:
-    made = content(stack)
-    stride = made.pop("stride")
-    text = json.dumps(made, separators=(",", ":"), ensure_ascii=True)
+    plot = content(stack)
+    stride = plot.pop("stride")
+    text = json.dumps(plot, separators=(",", ":"), ensure_ascii=True)
     return Group(
         title=stack.title,
         numbers=text.replace("<", "\\u003c"),  # inside a script element, "<" could end it
@@ -114,25 +114,25 @@ def on_axis(series: Series, x: Floats) -> Floats:
     outside = (x < series.x[0]) | (x > series.x[-1])
     index = np.clip(np.searchsorted(series.x, x, side="right") - 1, 0, None)
     if series.style == "line":
-        found = np.interp(x, series.x, series.y)
+        values = np.interp(x, series.x, series.y)
     else:
-        found = series.y[index]
+        values = series.y[index]
         if series.style not in ("stepped", "sampled"):
             outside |= series.x[index] != x
-    return np.where(outside, np.nan, found)
+    return np.where(outside, np.nan, values)
 
 
 def rounded(values: Iterable[float], digits: int = DIGITS) -> list[float | None]:
     """Return numbers with so many significant digits; None for those that are not finite."""
     given = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=float)
     finite = np.isfinite(given)
-    known = np.where(finite & (given != 0.0), given, 1.0)
-    places = digits - 1 - np.floor(np.log10(np.abs(known))).astype(int)
+    scalable = np.where(finite & (given != 0.0), given, 1.0)
+    places = digits - 1 - np.floor(np.log10(np.abs(scalable))).astype(int)
     # powers of ten up to 22 are exact, so that one rounding gives the nearest decimal
     scale = 10.0 ** np.minimum(np.abs(places), 22)
-    whole = np.where(places >= 0, np.round(known * scale), np.round(known / scale))
-    made = np.where(places >= 0, whole / scale, whole * scale)
-    found: list[float | None] = np.where(given == 0.0, 0.0, made).tolist()
+    whole = np.where(places >= 0, np.round(scalable * scale), np.round(scalable / scale))
+    nearest = np.where(places >= 0, whole / scale, whole * scale)
+    numbers: list[float | None] = np.where(given == 0.0, 0.0, nearest).tolist()
     for i in np.flatnonzero(~finite):
-        found[i] = None
-    return found
+        numbers[i] = None
+    return numbers

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -31,8 +30,6 @@ from sil.simulation.metrics import Shift
 
 SETTLED_S = 0.025
 """What is shown after everything has settled."""
-CHARACTER: Final = 0.0065
-"""Width of a character in the picture, by that of all zooms side by side."""
 
 SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
 SENDERS = {"driver": "B", "controller": "estimate", "plant": "truth"}
@@ -79,7 +76,7 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
     """
     end = float(record.truth["time_s"][-1])
     starts_s = [*(shift.requested_s for shift in shifts[1:]), end]
-    found = []
+    zooms = []
     for shift, until in zip(shifts, starts_s, strict=False):
         first = shift.requested_s
         settled = [shift.arrived_s, shift.confirmed_s, first + 0.1]
@@ -91,8 +88,8 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
                 settled.append(back)
         last = max(instant for instant in settled if instant is not None)
         low, high = max(first - 0.02, 0.0), min(last + SETTLED_S, until)
-        found.append(Zoom(f"{shift.from_gear} to {shift.to_gear}", low * MS, high * MS))
-    return found or [Zoom("whole run", 0.0, end * MS)]
+        zooms.append(Zoom(f"{shift.from_gear} to {shift.to_gear}", low * MS, high * MS))
+    return zooms or [Zoom("whole run", 0.0, end * MS)]
 
 
 # --- position -----------------------------------------------------------------------------------
@@ -137,7 +134,8 @@ def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift])
 def _width(text: str, at: float, zooms: Sequence[Zoom]) -> float:
     """Return about how long a text is in the picture, in ms, at an instant."""
     zoom = next((z for z in zooms if z.low <= at <= z.high), zooms[0])
-    return CHARACTER * len(text) * len(zooms) * (zoom.high - zoom.low)
+    # a character's width as a share of the width of all zooms side by side
+    return 0.0065 * len(text) * len(zooms) * (zoom.high - zoom.low)
 
 
 def _piston(record: RunRecord, shift: Shift) -> tuple[str, Floats] | None:
@@ -241,15 +239,15 @@ def _valves(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     spans, notes, ticks, rules = [], [], [], []
     for lane, chamber in enumerate(reversed(CHAMBERS)):
         coil, blowing, is_open = (
-            [(a * MS, b * MS) for a, b in found] for found in valve_spans(record, chamber)
+            [(a * MS, b * MS) for a, b in times] for times in valve_spans(record, chamber)
         )
         open_lane, coil_lane = (lane + 0.08, lane + 0.44), (lane + 0.54, lane + 0.90)
-        for found, text, between, style in (
+        for times, text, between, style in (
             (is_open, "", open_lane, "solid"),
             (coil, "", coil_lane, "pale"),
             (blowing, "safety blow", coil_lane, "hatched"),
         ):
-            spans += [Span(a, b, chamber, text, *between, style) for a, b in found]  # type: ignore[arg-type]
+            spans += [Span(a, b, chamber, text, *between, style) for a, b in times]  # type: ignore[arg-type]
         ticks += [(lane + 0.26, f"{chamber} valve"), (lane + 0.72, f"{chamber} command")]
         rules.append(Rule(float(lane), "", "grid", "y", "solid"))
         edges = [-math.inf, *(edge for pair in is_open for edge in pair), math.inf]

@@ -20,13 +20,6 @@ from sil.simulation.results import Result
 if TYPE_CHECKING:
     from sil.simulation.runner import Finished
 
-ALT = "Position, valves, pressures, firmware states and CAN frames over simulated time"
-CAPTION = (
-    "True position against the controller's estimate; commanded against actual valve states; "
-    "chamber pressures; firmware states; every CAN frame from its release to its arrival. One time "
-    "axis per shift."
-)
-
 
 def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the figures at the top of the page."""
@@ -67,7 +60,15 @@ def run_page(result: Result, picture: bytes | None, groups: Sequence[Group] = ()
         head,
         groups,
         result=plain,
-        picture=None if picture is None else Picture(picture, ALT, CAPTION),
+        picture=None
+        if picture is None
+        else Picture(
+            picture,
+            "Position, valves, pressures, firmware states and CAN frames over simulated time",
+            "True position against the controller's estimate; commanded against actual valve states; "
+            "chamber pressures; firmware states; every CAN frame from its release to its arrival. One time "
+            "axis per shift.",
+        ),
         details=json.dumps(finite(details), indent=1, ensure_ascii=False),
     )
 

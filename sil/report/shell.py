@@ -17,8 +17,6 @@ from sil.report.plots import Group
 from sil.report.theme import THEMES
 
 HERE = Path(__file__).parent
-WIDE = 1000
-"""Pixels."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class Picture:
     @property
     def wide(self) -> bool:
         """Whether letters become too small when it is shrunk to a phone: moved sideways instead."""
-        return int.from_bytes(self.png[16:20], "big") > WIDE
+        return int.from_bytes(self.png[16:20], "big") > 1000  # pixels
 
 
 @dataclass(frozen=True)

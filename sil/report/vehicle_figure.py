@@ -9,8 +9,6 @@ from sil.recording.run_record import RunRecord
 from sil.report.figure import MS, Note, Panel, Series, Span, spans_of
 
 RPM = 30.0 / np.pi
-_LESS = 0.01
-"""Torque is missing when it is lower than asked for by more than its resolution."""
 
 
 def without_torque(record: RunRecord) -> list[tuple[float, float]]:
@@ -19,7 +17,8 @@ def without_torque(record: RunRecord) -> list[tuple[float, float]]:
     _, asked = record.series(Eec1, "driver_torque")
     if not asked:
         return []
-    missing = [a - t > _LESS for a, t in zip(asked, torques, strict=True)]
+    # lower than asked for by more than the resolution
+    missing = [a - t > 0.01 for a, t in zip(asked, torques, strict=True)]
     return spans_of(times, missing, float(record.truth["time_s"][-1]))
 
 

@@ -21,8 +21,6 @@ from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario
 
 COUNTS = ("frames", "error_frames", "lost", "overwritten", "dropped_bus_off", "dropped_full")
-_CONTROLLER = ("ValveCommand", "SafetyBlow", "ControllerStatus")
-_BROADCAST = ("Etc1", "Etc2")
 _BROADCAST_NS = 10_000_000
 
 
@@ -31,7 +29,7 @@ def periods_ns(scenario: Scenario) -> dict[str, int]:
     controller = scenario.controller.period_ns
     etc2_ns = to_ns(scenario.controller.broadcast.etc2_period_s)
     return {
-        **dict.fromkeys(_CONTROLLER, controller),
+        **dict.fromkeys(("ValveCommand", "SafetyBlow", "ControllerStatus"), controller),
         "Etc1": max(_BROADCAST_NS, controller),
         "Etc2": max(etc2_ns, controller),
         "PositionPulse": to_ns(scenario.sensor.period_s),
@@ -52,7 +50,7 @@ def scenario_messages(scenario: Scenario) -> tuple[PeriodicMessage, ...]:
     """
     step = scenario.controller.period_ns
     jitter = 0 if _BROADCAST_NS % step == 0 or step > _BROADCAST_NS else step
-    periodic = contract_messages(periods_ns(scenario), dict.fromkeys(_BROADCAST, jitter))
+    periodic = contract_messages(periods_ns(scenario), dict.fromkeys(("Etc1", "Etc2"), jitter))
     if scenario.vehicle is None:
         return periodic
     claims = [
@@ -110,12 +108,9 @@ def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str,
     }
 
 
-FULL_LOAD = 0.97
-
-
 def overload(figures: dict[str, Any]) -> list[str]:
     """Return a line with the cause when the bus of a run was practically always busy."""
-    if figures["load"] < FULL_LOAD:
+    if figures["load"] < 0.97:
         return []
     fastest_s = min(m["period_s"] for m in figures["messages"])
     names = ", ".join(m["name"] for m in figures["messages"] if m["period_s"] == fastest_s)

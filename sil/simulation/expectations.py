@@ -33,8 +33,6 @@ else:
 Instant = Literal[
     "requested", "commanded", "valve_open", "first_motion", "arrived", "confirmed", "blow_end"
 ]
-_NEVER_NONE = (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion)
-"""Messages that every run must have on the bus, or nothing was tested."""
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -104,7 +102,9 @@ class Observed:
 
     def __init__(self, *records: RunRecord) -> None:
         self.stroke_m = math.nan
-        self.counts: dict[type, int] = dict.fromkeys(_NEVER_NONE, 0)
+        self.counts: dict[type, int] = dict.fromkeys(
+            (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion), 0
+        )
         self.opened: set[str] = set()
         self.valves_off = True
         self.position_m = 0.0
@@ -132,7 +132,7 @@ class Observed:
 
 
 def evaluate(
-    wanted: Expectations, observed: Observed, found: Sequence[Shift], metrics: dict[str, Any]
+    wanted: Expectations, observed: Observed, shifts: Sequence[Shift], metrics: dict[str, Any]
 ) -> list[Check]:
     """Return one Check per expectation, after those that the run did anything at all."""
     least, visited = wanted.min_frames, observed.visited
@@ -140,7 +140,7 @@ def evaluate(
         _check(f"{kind.__name__} frames on the bus", count, {"min": least}, count >= least)
         for kind, count in observed.counts.items()
     ]
-    if wanted.valves_opened is None and found:
+    if wanted.valves_opened is None and shifts:
         count = len(observed.opened)
         checks.append(_check("a valve opened", count, {"min": 1}, count > 0))
     if wanted.final_gear is not None:
@@ -170,7 +170,7 @@ def evaluate(
         checks.append(_check("valves opened", opened, expected))
     for name, limits in wanted.metrics.items():
         checks.append(limits.check(name, metrics[name], unit_of(name)))
-    return checks + [_timing(t, found) for t in wanted.timing]
+    return checks + [_timing(t, shifts) for t in wanted.timing]
 
 
 def _check(name: str, value: Any, limit: Any, passed: bool | None = None) -> Check:
@@ -179,9 +179,9 @@ def _check(name: str, value: Any, limit: Any, passed: bool | None = None) -> Che
     return Check(name=name, passed=passed, value=value, limit=limit)
 
 
-def _timing(wanted: Timing, found: Sequence[Shift]) -> Check:
+def _timing(wanted: Timing, shifts: Sequence[Shift]) -> Check:
     name = f"shift {wanted.shift}: {wanted.start} to {wanted.to}"
-    shift = found[wanted.shift - 1] if wanted.shift <= len(found) else None
+    shift = shifts[wanted.shift - 1] if wanted.shift <= len(shifts) else None
     start, end = (getattr(shift, f"{instant}_s", None) for instant in (wanted.start, wanted.to))
     value = None if start is None or end is None else end - start
     return Limits(wanted.min_s, wanted.max_s).check(name, value, "s")

@@ -39,17 +39,13 @@ from sil.simulation.load_scenario import Loaded
 CLOCK_ZERO = "plant.zero"
 """File next to the plant's trace: the instant, ns since 1970, at which its clock is zero."""
 
-MODE = "free-running"
 _SENDERS = {s.can_id: build.PARTICIPANT.get(s.senders[0], GUEST) for s in contract().values()}
 
 SETTLING_S = 1.0
 """The run begins this long after the last node has come, when all have received the others' frames."""
 
-MISSING_SHARE = 0.05
-"""More frames missing than this share of a message is worth a warning."""
 
 _LOOK_S = 0.05
-_END_S = 10.0
 _ROWS_AT_ONCE = 1 << 16
 
 
@@ -116,14 +112,14 @@ class FreeRun:
         while time.time_ns() < end_ns + to_ns(_LOOK_S):
             self._look_after_nodes()
             time.sleep(_LOOK_S)
-            if found := self._deliveries(duration_ns):
-                record(found)
+            if deliveries := self._deliveries(duration_ns):
+                record(deliveries)
         wall_s = time.perf_counter() - begun
         self._end_nodes()
         self._align_recordings()
         figures = self.figures()
         for message in figures["messages"]:
-            if (message["missing"] or 0) > MISSING_SHARE * message["frames"]:
+            if (message["missing"] or 0) > 0.05 * message["frames"]:
                 self.warnings.append(
                     f"{message['name']}: {counted(message['missing'], 'frame')} missing, {message['frames']} on "
                     "the bus; this machine was too busy, or its sender was away"
@@ -139,7 +135,7 @@ class FreeRun:
             return {"frames": len(arrivals), **jitter(arrivals, period_ns)}
 
         return {
-            "mode": MODE,
+            "mode": "free-running",
             "clock": "every node ran by the wall clock; another run gives other times and bits",
             "bitrate": scenario.bus.bitrate,
             "load": self._bits / scenario.bus.bitrate / scenario.duration_s,
@@ -188,21 +184,21 @@ class FreeRun:
             if child.how_it_ended(0.0) is None:
                 os.kill(child.pid, signal.SIGTERM)
         for child in self._children:
-            child.end(_END_S)
+            child.end(10.0)
         self._children.clear()
 
     def _deliveries(self, duration_ns: int) -> list[BusFrame]:
         """Return the frames that have arrived, of those within the duration of the run."""
-        found = []
+        deliveries = []
         while (message := self._bus.recv(0.0)) is not None:
             arrival_ns = 1000 * round(message.timestamp * 1e6) - self._zero_ns
             frame = frame_of(message)
             if frame is not None and 0 <= arrival_ns < duration_ns:
                 sender = _SENDERS.get(frame.can_id, GUEST)
-                found.append(BusFrame(arrival_ns, arrival_ns, sender, frame))
+                deliveries.append(BusFrame(arrival_ns, arrival_ns, sender, frame))
                 self._bits += frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
                 self._arrivals[frame.can_id].append(arrival_ns)
-        return found
+        return deliveries
 
     def _align_recordings(self) -> None:
         """Count the plant's times from the beginning of the run; what was before is left out."""

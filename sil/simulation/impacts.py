@@ -44,8 +44,8 @@ def counted(
         times = np.where((kind == each) & (energy_j > 0.0), time_s, np.inf)
         first = times.min(axis=-1, initial=np.inf, keepdims=True)
         picks_up |= np.isfinite(times) & (times == first)
-    found: Bools = (energy_j > 0.0) & ~at_block & ~picks_up
-    return found
+    counts: Bools = (energy_j > 0.0) & ~at_block & ~picks_up
+    return counts
 
 
 def worst_speed_m_s(energy_j: Floats, stay_m_s: Floats, moving_mass_kg: float) -> Floats:

@@ -112,21 +112,21 @@ def find(where: str) -> Path:
     with contextlib.suppress(OSError, ValueError):  # a name too long, or with a null byte
         if path.is_file():
             return path
-    known = shipped()
-    if where in known:
-        return known[where]
+    scenarios = shipped()
+    if where in scenarios:
+        return scenarios[where]
     if "/" in where or where.endswith((".toml", ".json")):
         what = "a folder" if path.is_dir() else "not found"
         raise InputError(f"{typed_toml.one_line(where)}: file: {what}; expected a scenario file")
-    raise InputError(f"{typed_toml.one_line(where)}: scenario: {unknown_name(where, known)}")
+    raise InputError(f"{typed_toml.one_line(where)}: scenario: {unknown_name(where, scenarios)}")
 
 
 def _read(path: Path) -> dict[str, Any]:
     if path.suffix != ".json":
         return typed_toml.read_toml(path)
     try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        table = held["scenario"]
+        result = json.loads(path.read_text(encoding="utf-8"))
+        table = result["scenario"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
     if not isinstance(table, dict):
@@ -178,12 +178,12 @@ def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[
 def parameters_of(model_set: str, where: str) -> ParameterSet:
     """Return a parameter set whose effects are known. Raises InputError that begins with `where`."""
     try:
-        found = _nominal() if model_set == "nominal" else _load(model_set)
-        if found.effects:
+        parameters = _nominal() if model_set == "nominal" else _load(model_set)
+        if parameters.effects:
             from plant.effects import check_effects
 
-            check_effects(found.effects, found.name)
-        return found
+            check_effects(parameters.effects, parameters.name)
+        return parameters
     except InputError as error:
         raise InputError(f"{where}: {typed_toml.one_line(str(error))}") from None
 
@@ -227,8 +227,8 @@ def _apply(raw: dict[str, Any], path: str, value: Any, parameters: ParameterSet)
     if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
         return
     if not set_value(raw, Scenario, path, value):
-        known = [*leaf_paths(Scenario, raw), *parameters]
-        near = nearest(path, known, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
+        paths = [*leaf_paths(Scenario, raw), *parameters]
+        near = nearest(path, paths, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
         raise InputError(
             f"--set {typed_toml.one_line(path)}: no such value; expected one of {', '.join(near)}, ..."
         )

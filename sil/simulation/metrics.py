@@ -30,8 +30,6 @@ ARRIVED_WITHIN_M = 5e-5
 OPEN_ABOVE = 0.34
 """A commanded duty above this is meant to open (closed at or below 0.33, open at or above 0.35)."""
 
-LONGEST_SHIFT_S = 120.0
-"""A shift's figures are taken from its request to the next one, at most this long."""
 
 LAGS = (
     "position_lag_10_s",
@@ -170,13 +168,13 @@ def gear_at(
 
 def requests(record: RunRecord, initial: Gear) -> list[tuple[float, Gear, Gear]]:
     """Return (release time in s, from, to) of each change of the requested gear on the bus."""
-    found: list[tuple[float, Gear, Gear]] = []
+    changes: list[tuple[float, Gear, Gear]] = []
     current = initial
     for entry, message in record.each(ShiftRequest):
         if message.target != current:
-            found.append((entry.released_ns / NS_PER_S, current, message.target))
+            changes.append((entry.released_ns / NS_PER_S, current, message.target))
             current = message.target
-    return found
+    return changes
 
 
 def spans(
@@ -185,7 +183,7 @@ def spans(
     """Return (from when, from, to, until when) of each shift of a run that ends at `end_s`."""
     bounds = [*(t for t, _, _ in changes), max(end_s, changes[-1][0])][1:] if changes else []
     return [
-        (*change, min(until, change[0] + LONGEST_SHIFT_S))
+        (*change, min(until, change[0] + 120.0))
         for change, until in zip(changes, bounds, strict=True)
     ]
 
@@ -210,16 +208,16 @@ def shift_figures(
     truth = record.truth
     window = _within(truth["time_s"], start, until)
     t, x = truth["time_s"][window], truth["position_m"][window]
-    known = target in GEAR_CHAMBER and len(t) > 0
+    moves = target in GEAR_CHAMBER and len(t) > 0
     letter = GEAR_CHAMBER.get(target, "N")
-    goal = gear_position_m(target, record.stroke_m) if known else 0.0
+    goal = gear_position_m(target, record.stroke_m) if moves else 0.0
     origin = float(x[0]) if len(x) else 0.0
     arrived = first_motion = stop = None
-    if known:
+    if moves:
         arrived = _arrival(t, np.abs(x - goal) <= ARRIVED_WITHIN_M, record.events, goal)
         first_motion = next(map(float, t[np.abs(x - origin) > ARRIVED_WITHIN_M]), None)
         stop = _stop_event(record.events, start, until, goal)
-    found = _impacts(record, start, until, (source, target))
+    impacts = _impacts(record, start, until, (source, target))
     speed = 0.0 if stop is None else abs(float(stop.values["speed_m_s"]))
     confirmed = _first(record, ControllerStatus, start, until, lambda m: m.confirmed == target)
     early = None
@@ -237,7 +235,7 @@ def shift_figures(
         if m.active and m.chamber == Chamber[letter] and start <= e.arrival_ns / NS_PER_S <= until
     ]
     lags: dict[str, Any] = dict.fromkeys(LAGS)
-    if known and arrived is not None:
+    if moves and arrived is not None:
         lags = dict(zip(LAGS, _lags(record, origin, goal, start, until), strict=True))
     return Shift(
         from_gear=source.name.lower(),
@@ -254,9 +252,9 @@ def shift_figures(
         shift_time_s=None if arrived is None else arrived - start,
         impact_speed_m_s=None if stop is None else speed,
         impact_energy_j=None if stop is None else float(stop.values["energy_j"]),
-        **_worst(found, speed, record.moving_mass_kg),
+        **_worst(impacts, speed, record.moving_mass_kg),
         confirmed_early_s=early,
-        impacts=found,
+        impacts=impacts,
         **lags,
     )
 
@@ -276,7 +274,7 @@ def _impacts(record: RunRecord, start: float, until: float, way: tuple[Gear, Gea
     """Return the impacts of a shift that count, in order of time."""
     events = [e for e in record.events if start <= e.time_s <= until and "energy_j" in e.values]
     names = np.array([e.name for e in events])
-    found = counted(
+    counts = counted(
         names,
         np.array([e.time_s for e in events]),
         np.array([float(e.values["energy_j"]) for e in events]),
@@ -286,16 +284,16 @@ def _impacts(record: RunRecord, start: float, until: float, way: tuple[Gear, Gea
     figures = ("position_m", "energy_j", "peak_force_n")
     return [
         Impact(time_s=e.time_s, name=e.name, **{n: float(e.values[n]) for n in figures})
-        for e, counts in zip(events, found, strict=True)
-        if counts
+        for e, is_counted in zip(events, counts, strict=True)
+        if is_counted
     ]
 
 
-def _worst(found: Sequence[Impact], stay_m_s: float, mass_kg: float) -> dict[str, float | None]:
+def _worst(impacts: Sequence[Impact], stay_m_s: float, mass_kg: float) -> dict[str, float | None]:
     """Return the hardest impact as a speed, its energy and its peak force; None without one."""
-    if not found:
+    if not impacts:
         return dict.fromkeys(WORST[:3])
-    worst = max(found, key=lambda impact: impact.energy_j)
+    worst = max(impacts, key=lambda impact: impact.energy_j)
     speed_m_s = worst_speed_m_s(np.array(worst.energy_j), np.array(stay_m_s), mass_kg)
     return dict(zip(WORST, (float(speed_m_s), worst.energy_j, worst.peak_force_n), strict=False))
 
@@ -330,9 +328,9 @@ def _lags(
     inside = (when >= start) & (when <= until)
     when, estimate = when[inside], estimate[inside]
     mean = [phase_averaged_crossing(when, estimate, level, rising) for level in levels]
-    held = [held_crossing(when, estimate, level, rising) for level in levels]
+    in_this_run = [held_crossing(when, estimate, level, rising) for level in levels]
     bus = _truth_on_bus(record, start, until, levels, rising)
-    pairs = zip([*mean, *held, *mean], [*true, *true, *bus], strict=True)
+    pairs = zip([*mean, *in_this_run, *mean], [*true, *true, *bus], strict=True)
     return [None if later is None or early is None else later - early for later, early in pairs]
 
 
@@ -358,7 +356,7 @@ def valve_switchings(record: RunRecord) -> int:
 
 
 def summary(
-    found: Sequence[Shift], air_used_kg: float | None, switchings: int, frames: int
+    shifts: Sequence[Shift], air_used_kg: float | None, switchings: int, frames: int
 ) -> dict[str, Any]:
     """Return the metrics of result.json.
 
@@ -366,21 +364,21 @@ def summary(
     stop, None when one of them never arrived. Impacts and early confirmation are the worst of all
     shifts; lags are those of the last shift that completed.
     """
-    times = [s.shift_time_s for s in found]
-    speeds = [s.impact_speed_m_s for s in found if s.impact_speed_m_s is not None]
-    energies = [s.impact_energy_j for s in found if s.impact_energy_j is not None]
-    last = next((s for s in reversed(found) if s.position_lag_10_s is not None), None)
+    times = [s.shift_time_s for s in shifts]
+    speeds = [s.impact_speed_m_s for s in shifts if s.impact_speed_m_s is not None]
+    energies = [s.impact_energy_j for s in shifts if s.impact_energy_j is not None]
+    last = next((s for s in reversed(shifts) if s.position_lag_10_s is not None), None)
     return {
         "shift_time_s": None if not times or None in times else sum(t for t in times if t),
         "impact_speed_m_s": max(speeds, default=None),
         "impact_energy_j": max(energies, default=None),
         **{
-            name: max((v for s in found if (v := getattr(s, name)) is not None), default=None)
+            name: max((v for s in shifts if (v := getattr(s, name)) is not None), default=None)
             for name in WORST
         },
         **{name: last and getattr(last, name) for name in LAST},
         "air_used_kg": air_used_kg,
         "valve_switchings": switchings,
         "frames": frames,
-        "shifts": [msgspec.to_builtins(s) for s in found],
+        "shifts": [msgspec.to_builtins(s) for s in shifts],
     }

@@ -16,8 +16,6 @@ from sil.files.atomic import write_atomically
 from sil.files.output_folder import RESULT, finite
 from sil.files.quantity import comparison
 
-LIBRARIES = ("opc4-sil", "numpy", "numba", "scipy", "python-can", "cantools", "msgspec")
-
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
     """One expectation after the run: its value in the run, and the limit."""
@@ -59,11 +57,11 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the libraries that a result depends on."""
-    found = {"python": platform.python_version()}
-    for name in LIBRARIES:
+    installed = {"python": platform.python_version()}
+    for name in ("opc4-sil", "numpy", "numba", "scipy", "python-can", "cantools", "msgspec"):
         with contextlib.suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+            installed[name] = version(name)
+    return installed
 
 
 def as_json(result: Result) -> str:

@@ -43,11 +43,6 @@ from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check, Result, versions, write_result
 from sil.simulation.scenario import Scenario, contradictions, expanded
 
-_SAID_BY_A_PARTICIPANT = re.compile(r"\w+ ended with exit status (?P<code>[23]): opc4 node: ")
-"""What precedes a participant's own words; with 2 its settings were refused, as bad input here."""
-
-CUT_OFF = "the run was cut off before it could say why"
-
 
 @dataclass(frozen=True)
 class Finished:
@@ -157,7 +152,9 @@ def _begin(loaded: Loaded, folder: Path, transport: str) -> Result:
         scenario=expanded(scenario),
         model={path: loaded.parameters[path].value for path in loaded.parameters},
     )
-    write_result(msgspec.structs.replace(base, why=CUT_OFF), folder)
+    write_result(
+        msgspec.structs.replace(base, why="the run was cut off before it could say why"), folder
+    )
     write_atomically(folder / SCENARIO, json.dumps({"scenario": base.scenario}, indent=1))
     return base
 
@@ -172,7 +169,7 @@ def _reason(error: BaseException, loaded: Loaded, folder: Path, has_frames: bool
     if isinstance(error, OSError):
         return os_error_text(error)
     why = str(error)
-    if said := _SAID_BY_A_PARTICIPANT.match(why):
+    if said := re.match(r"\w+ ended with exit status (?P<code>[23]): opc4 node: ", why):
         why = why[said.end() :].replace(str(folder / SCENARIO), loaded.source)
         if said["code"] == "2" and not has_frames:
             _discard(folder)
@@ -202,7 +199,7 @@ def _judge(
     """Compute metrics and checks from the recorded run; write result.json and trace.csv."""
     scenario = loaded.scenario
     record: RunRecord | None = None
-    found: list[metrics.Shift] = []
+    shifts: list[metrics.Shift] = []
     figures: dict[str, Any] = {}
     checks: list[Check] = []
     balances: dict[str, Any] = {}
@@ -210,7 +207,7 @@ def _judge(
         recorded = _reader(loaded, folder, closing)
         if recorded is not None:
             try:
-                observed, found, switchings, checked = _figures(
+                observed, shifts, switchings, checked = _figures(
                     scenario, recorded, folder / "trace.csv"
                 )
             except OSError as error:  # no room for trace.csv: plant.trace stays instead
@@ -218,9 +215,9 @@ def _judge(
         if recorded is not None:
             bus["end_to_end"] = checked.counts()
             record, balances = recorded.piece(0), dict(recorded.balances)
-            figures = metrics.summary(found, balances.get("air_in_kg"), switchings, log.frames)
+            figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, log.frames)
             if why is None:
-                checks = expectations.evaluate(scenario.expect, observed, found, figures)
+                checks = expectations.evaluate(scenario.expect, observed, shifts, figures)
                 checks += _balance_checks(balances)
                 if "mode" not in bus:  # a free-running bus has no simulated arbitration
                     checks += response_check(scenario, bus)
@@ -256,7 +253,7 @@ def _judge(
     if record is not None:
         (folder / PLANT_TRACE).unlink()
     (folder / SCENARIO).unlink()
-    return Finished(result, record, found)
+    return Finished(result, record, shifts)
 
 
 def _reader(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunReader | None:
@@ -288,11 +285,11 @@ def _figures(
             switchings += metrics.valve_switchings(piece)
             changes += metrics.requests(piece, changes[-1][2] if changes else gear)
     spans = metrics.spans(changes, recorded.end_s)
-    found = [
+    shifts = [
         metrics.shift_figures(recorded.span(start, until), start, source, target, until)
         for start, source, target, until in spans
     ]
-    return observed, found, switchings, checked
+    return observed, shifts, switchings, checked
 
 
 def _balance_checks(balances: dict[str, Any]) -> list[Check]:

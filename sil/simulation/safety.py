@@ -34,9 +34,6 @@ from sil.recording.runs import longest_run
 from sil.simulation.metrics import OPEN_ABOVE, gear_at, gear_position_m
 from sil.simulation.scenario import FAULT_TABLES, Scenario
 
-FILLED_PA = 3e5
-"""A chamber at this absolute pressure can move the stay against its friction."""
-
 REPORT_HOLDS_S = 0.05
 """A status frame is valid for this long."""
 
@@ -93,7 +90,8 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     end = float(position[-1])
     end_gear = gear_at(end, record.stroke_m, windows.gear_tolerance_m, windows.neutral_tolerance_m)
     impacts = [abs(float(e.values["speed_m_s"])) for e in record.events if e.name == "stay_stop"]
-    both = (truth["pressure_B_pa"] > FILLED_PA) & (truth["pressure_F_pa"] > FILLED_PA)
+    # absolute pressure that moves the stay against its friction
+    both = (truth["pressure_B_pa"] > 3e5) & (truth["pressure_F_pa"] > 3e5)
     step = float(np.median(np.diff(time_s)))
     return {
         "detected_after_s": next((at - start for at, bits in later if bits & ~before), math.nan),
@@ -113,8 +111,10 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
 
 def _energised(record: RunRecord) -> np.ndarray:
     """Return at which rows of the trace a coil was meant to be energised."""
-    found: np.ndarray = np.any([record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0)
-    return found
+    energised: np.ndarray = np.any(
+        [record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0
+    )
+    return energised
 
 
 Reports = list[tuple[BusFrame, ControllerStatus | None]]
@@ -123,14 +123,14 @@ Reports = list[tuple[BusFrame, ControllerStatus | None]]
 def accepted_status(record: RunRecord) -> Reports:
     """Return the status frames that pass end-to-end protection; None where it turns invalid."""
     receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
-    found: Reports = []
+    reports: Reports = []
     for entry in record.frames_of(can_id_of(ControllerStatus)):
         status = receiver.receive(entry.arrival_ns, entry.frame)
         if receiver.state(entry.arrival_ns) is not E2eState.VALID:
-            found.append((entry, None))
+            reports.append((entry, None))
         elif status in ACCEPTED:
-            found.append((entry, receiver.message))
-    return found
+            reports.append((entry, receiver.message))
+    return reports
 
 
 def _reported_at(status: Reports, at_s: float) -> float:

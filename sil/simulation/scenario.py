@@ -133,8 +133,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
 def expanded(scenario: Scenario) -> dict[str, Any]:
     """Return every value of a scenario, defaults included, as plain tables and lists."""
-    found: dict[str, Any] = json.loads(json.dumps(msgspec.to_builtins(scenario)))
-    return found
+    table: dict[str, Any] = json.loads(json.dumps(msgspec.to_builtins(scenario)))
+    return table
 
 
 def contradictions(scenario: Scenario) -> list[str]:

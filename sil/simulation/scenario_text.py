@@ -13,10 +13,7 @@ from typing import Any
 from sil.files.overrides import toml_value
 from sil.simulation.scenario import Scenario, expanded
 
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _DEFAULTS = expanded(Scenario(name="-", duration_s=1.0, request=[]))
-_STATED = ("name", "duration_s", "request")
-"""Keys that have no default."""
 
 
 def scenario_toml(scenario: Scenario) -> str:
@@ -26,20 +23,20 @@ def scenario_toml(scenario: Scenario) -> str:
     """
     table = _different(expanded(scenario), _DEFAULTS)
     table.pop("expect", None)
-    for key in _STATED:
+    for key in ("name", "duration_s", "request"):
         table[key] = expanded(scenario)[key]
     return "\n".join(_lines(table, "")) + "\n"
 
 
 def _different(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    differences: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict) and isinstance(defaults.get(key), dict):
             if inner := _different(value, defaults[key]):
-                found[key] = inner
+                differences[key] = inner
         elif value is not None and (key not in defaults or value != defaults[key]):
-            found[key] = _without_none(value)
-    return found
+            differences[key] = _without_none(value)
+    return differences
 
 
 def _without_none(value: Any) -> Any:
@@ -54,7 +51,7 @@ def _lines(table: Mapping[str, Any], prefix: str) -> Iterator[str]:
     """Yield the lines of a table: its values, then its tables."""
     inner: list[tuple[str, Any]] = []
     for key, value in table.items():
-        name = key if _BARE_KEY.fullmatch(key) else json.dumps(key)
+        name = key if re.compile(r"[A-Za-z0-9_-]+").fullmatch(key) else json.dumps(key)
         if isinstance(value, dict) or (value and _is_tables(value)):
             inner.append((prefix + name, value))
         else:
