@@ -40,7 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.progress import Progress
     from sil.studies.executor import run_study
     from sil.studies.load_study import load_study, shipped
-    from sil.studies.study_page import write_page
     from sil.studies.table import exit_code, read_table, summary
 
     if arguments.list:
@@ -62,6 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
             resume=arguments.resume,
             progress=progress,
         )
+    from sil.studies.study_page import write_page  # loads every kind of study
+
     table = read_table(study, folder)
     result = summary(study, table)
     files = [word for file in arguments.effects for word in ("--effects", file)]
