@@ -148,7 +148,10 @@ class Mf4File:
         return [n for n, group in groups if group.channels and group.channel_group.cycles_nr]
 
     def columns(self, number: int, kind: str) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
-        """Return the columns of a group by part of a frame, [n] or [n, bytes], and the times [n] in s."""
+        """Return the columns of a group by part of a frame, [n] or [n, bytes], and the times [n] in s.
+
+        Raises InputError for a group that cannot be read (ValueError within the guard).
+        """
         group = self.mdf.groups[number]
         parts = {
             name.rpartition(".")[2]: index

@@ -158,7 +158,7 @@ class CampaignModel(Problem):
         return {self.strokes[k].offset_of(channel) for channel in self.strokes[k].channels}
 
     def parts(self, k: int, residual: Floats) -> Iterator[ChannelPart]:
-        """Yield a residual's parts by channel, the control unit's position last.
+        """Yield the parts of a residual [n], no unit, by channel, the control unit's position last.
 
         Position and reported position are standardised conservatively (a resting wiper says one
         thing, not hundreds; a reported value depends on the recorder's step in time), so their floors
