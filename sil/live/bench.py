@@ -27,7 +27,7 @@ from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.files.overrides import setting_texts
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.recording.trace_csv import held
-from sil.report.figure import MS
+from sil.report.figure import MM, MS
 from sil.report.live_figure import comparison_figure
 from sil.report.plots import content, rounded
 from sil.report.run_figure import run_figure
@@ -186,16 +186,16 @@ def _trace(record: RunRecord) -> Iterator[tuple[str, list[float | None]]]:
     truth = record.truth
     yield "time_ms", rounded(MS * truth["time_s"], 8)
     for column, name, factor in (
-        ("position_m", "stay_mm", MS),
-        ("piston_1_m", "piston_1_mm", MS),
-        ("piston_2_m", "piston_2_mm", MS),
+        ("position_m", "stay_mm", MM),
+        ("piston_1_m", "piston_1_mm", MM),
+        ("piston_2_m", "piston_2_mm", MM),
         *((f"pressure_{c}_pa", f"pressure_{c}_bar", 1e-5) for c in CHAMBERS),
         *((f"cmd_{c}", f"coil_{c}", 1.0) for c in CHAMBERS),
         *((f"valve_{c}", f"valve_{c}", 1.0) for c in CHAMBERS),
     ):
         yield name, rounded(factor * truth[column], 5)
     at_s, estimate_m = record.estimate
-    yield "estimate_mm", rounded(MS * held(at_s, estimate_m, truth["time_s"]), 5)
+    yield "estimate_mm", rounded(MM * held(at_s, estimate_m, truth["time_s"]), 5)
 
 
 def heard(message: can.Message, start_s: float) -> list[Any]:
