@@ -15,7 +15,7 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from sil.replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS
 from sil.replay.replay import ReplayRequest, ReplayResult, replay
-from sil.replay.summary import summary_lines
+from sil.replay.report import summary_lines
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 

@@ -17,12 +17,14 @@ import shlex
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sil.cli.options import JSON, SELECTION, SETTINGS, STRICT, TIMES, argument, out, reading
 
 if TYPE_CHECKING:
     from sil.logs import Logs
+    from sil.replay.replay import ReplayResult
+    from sil.replay.truck_replay import TruckReplay
 
 EXAMPLE = """\
 example:
@@ -87,14 +89,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.summary:
         return _summary(arguments)
     if arguments.strategy is not None:
-        arguments.settings |= {"controller.strategy": arguments.strategy}
+        chosen = {"controller.strategy": arguments.strategy}
+        arguments.settings = {**arguments.settings, **chosen}
     if (code := _truck(arguments)) is not None:
         return code
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
-    from sil.replay import summary
     from sil.replay.checkout import checkout
-    from sil.replay.page import replay_page
     from sil.replay.replay import ReplayRequest, replay
     from sil.replay.signals import Options, load_options
 
@@ -113,30 +114,28 @@ def run(arguments: argparse.Namespace) -> int:
             },
         )
         outcome = replay(request)
-    _report(arguments, outcome, summary, replay_page)
+    _report(arguments, outcome)
     return 1 if outcome.differs else 0
 
 
-def _report(arguments: argparse.Namespace, outcome: Any, summary: Any, page: Any) -> None:
-    """Write the files of a replay and print it: a log that is refused leaves no folder behind.
+def _report(arguments: argparse.Namespace, outcome: ReplayResult | TruckReplay) -> None:
+    """Write the files of a replay and print it: a log that is refused leaves no folder behind."""
+    from sil.replay.report import report
 
-    `summary`: module with text, as_dict and summary_lines of what was found; `page`: its page.
-    """
-    values = summary.as_dict(outcome)
+    reported = report(outcome)
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
     parent = Path(arguments.log).resolve().parent.name
-    name = f"replay-{parent}" if stem == "bus" else f"replay-{stem}"
-    folder = _prepared(arguments, name)
+    folder = _prepared(arguments, f"replay-{parent}" if stem == "bus" else f"replay-{stem}")
     files = {
-        "diff.txt": summary.text(outcome),
-        "report.html": page(outcome, values, shlex.join(["opc4", *sys.argv[1:]]), folder),
-        "diff.json": json.dumps(values, ensure_ascii=False, indent=1) + "\n",
+        "diff.txt": reported.text,
+        "report.html": reported.page(shlex.join(["opc4", *sys.argv[1:]]), folder),
+        "diff.json": json.dumps(reported.values, ensure_ascii=False, indent=1) + "\n",
     }
     _complete(folder, files)
     if arguments.json:
-        print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
+        print(json.dumps(reported.values | {"out": str(folder)}, ensure_ascii=False, indent=1))
     else:
-        print("\n".join([*summary.summary_lines(outcome), f"  {_listing(folder)}"]))
+        print("\n".join([*reported.lines, f"  {_listing(folder)}"]))
 
 
 def _prepared(arguments: argparse.Namespace, name: str) -> Path:
@@ -182,7 +181,7 @@ NOT_SUMMARY = (*OWN_LOG_ONLY, "firmware", "settings", "strategy", "dbc", "map")
 def _truck(arguments: argparse.Namespace) -> int | None:
     """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
     from can_dbc.errors import InputError
-    from sil.replay import truck_replay
+    from sil.replay.truck_replay import replay_truck
 
     given = [name for name in OWN_LOG_ONLY if getattr(arguments, name)]
     if given and arguments.map is not None:
@@ -190,7 +189,7 @@ def _truck(arguments: argparse.Namespace) -> int | None:
         raise InputError(f"--map: a truck's log has no commands for --{name}; expected one of them")
     if given or (arguments.dbc is not None and arguments.map is None):
         return None
-    comparison = truck_replay.replay_truck(
+    comparison = replay_truck(
         _open(arguments),
         map=arguments.map,
         dbc=arguments.dbc,
@@ -199,9 +198,7 @@ def _truck(arguments: argparse.Namespace) -> int | None:
     )
     if comparison is None:
         return None
-    from sil.replay.truck_page import truck_page
-
-    _report(arguments, comparison, truck_replay, truck_page)
+    _report(arguments, comparison)
     return 1 if comparison.failed else 0
 
 
@@ -239,7 +236,7 @@ def _summary(arguments: argparse.Namespace) -> int:
     if report.files or report.notes or not report.clean:
         lines += [f"log: {line}" for line in report.lines()[1:]]
     if arguments.out is not None:
-        from sil.replay.shifts_page import shifts_page
+        from sil.replay.report import shifts_page
 
         folder = _prepared(arguments, "summary")
         call = shlex.join(["opc4", *sys.argv[1:]])

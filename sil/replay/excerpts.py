@@ -6,15 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Any, Final, NamedTuple
-
-BEFORE_NS: Final = 80_000_000
-AFTER_NS: Final = 160_000_000
-LONGEST_NS: Final = 1_500_000_000
-MOST_ROWS: Final = 1000
-MOST_DIFFERING: Final = 6
-MOST_EQUAL: Final = 3
-WIDTH: Final = 100
+from typing import Any, NamedTuple
 
 
 class Row(NamedTuple):
@@ -37,12 +29,15 @@ class Excerpt:
 class ExcerptRecorder:
     """Keeps the first scenes with a difference and the first without; memory is bounded.
 
+    A scene is from 80 ms before the first edge or difference to 160 ms after the last, of at most
+    1.5 s and 1000 ticks.
+
     Checked by: tests/unit/sil/replay/test_excerpts.py
     """
 
     def __init__(self) -> None:
-        self.found: list[Excerpt] = []
-        self._recent: deque[Row] = deque(maxlen=MOST_ROWS // 4)
+        self.excerpts: list[Excerpt] = []
+        self._recent: deque[Row] = deque(maxlen=250)
         self._open: Excerpt | None = None
         self._begun_ns = self._until_ns = 0
 
@@ -51,15 +46,15 @@ class ExcerptRecorder:
         scene = self._open
         if scene is None and (changed or differs):
             scene = self._open = Excerpt(
-                [r for r in self._recent if r.time_ns >= row.time_ns - BEFORE_NS]
+                [r for r in self._recent if r.time_ns >= row.time_ns - 80_000_000]
             )
             self._begun_ns = row.time_ns
         if scene is not None:
             scene.rows.append(row)
             scene.differs |= differs
             if changed or differs:
-                self._until_ns = min(row.time_ns + AFTER_NS, self._begun_ns + LONGEST_NS)
-            if row.time_ns >= self._until_ns or len(scene.rows) >= MOST_ROWS:
+                self._until_ns = min(row.time_ns + 160_000_000, self._begun_ns + 1_500_000_000)
+            if row.time_ns >= self._until_ns or len(scene.rows) >= 1000:
                 self.finish()
         self._recent.append(row)
 
@@ -68,20 +63,22 @@ class ExcerptRecorder:
         scene, self._open = self._open, None
         if scene is None:
             return
-        alike = sum(s.differs is scene.differs for s in self.found)
-        if alike < (MOST_DIFFERING if scene.differs else MOST_EQUAL):
-            self.found.append(scene)
+        alike = sum(s.differs is scene.differs for s in self.excerpts)
+        if alike < (6 if scene.differs else 3):
+            self.excerpts.append(scene)
 
 
-def waveforms(scene: Excerpt, labels: tuple[str, str], base_ns: int = 0) -> list[str]:
+def waveforms(
+    scene: Excerpt, labels: tuple[str, str], base_ns: int = 0, width: int = 100
+) -> list[str]:
     """Draw a scene in letters: one column per tick, coils and states of both sides.
 
     Checked by: tests/unit/sil/replay/test_excerpts.py
     """
     lines = []
     rows = scene.rows
-    for start in range(0, len(rows), WIDTH):
-        part = rows[start : start + WIDTH]
+    for start in range(0, len(rows), width):
+        part = rows[start : start + width]
         step_ms = (part[1].time_ns - part[0].time_ns) / 1e6 if len(part) > 1 else 0.0
         lines.append(f"from {(part[0].time_ns + base_ns) / 1e9:.6f} s, {step_ms:g} ms per column")
         margin = max(len(label) for label in labels) + 10

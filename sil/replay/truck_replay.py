@@ -15,10 +15,8 @@ import numpy as np
 from can_dbc.codec import can_id_of
 from can_dbc.errors import InputError
 from can_dbc.messages import ValveCommand
-from sil.files.output_folder import finite
 from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
 from sil.files.progress import Progress
-from sil.files.quantity import counted
 from sil.j1939.mapping import ANY_SOURCE, SignalMapping
 from sil.logs import Logs
 from sil.replay.options import firmware_of
@@ -130,10 +128,7 @@ def replay_truck(
     return TruckReplay(log, variants, shifts, notes)
 
 
-# ---------------------------------------------------------------- figures of one shift
-
-
-def verdict(shift: ComparedShift, column: int = 0) -> list[str]:
+def truck_verdict(shift: ComparedShift, column: int = 0) -> list[str]:
     """Return in sentences where ours would be quicker or softer, and why."""
     if shift.skipped:
         return [f"not simulated: {shift.skipped}"]
@@ -211,9 +206,6 @@ def _softness(recorded: RecordedShift, ours: OurShift) -> Iterator[str]:
         yield f"our stay meets its stop at {ours.impact_speed_m_s:.2f} m/s; the truck's is not recorded"
 
 
-# ---------------------------------------------------------------- statistics over shifts
-
-
 FIGURES: Final = {
     "request to new gear": "s",
     "torque cut to new gear": "s",
@@ -285,99 +277,6 @@ def quicker(replay: TruckReplay, column: int) -> tuple[int, int, int]:
     return found[0], found[1], found[2]
 
 
-# ---------------------------------------------------------------- text and JSON
-
-
 def columns_of(replay: TruckReplay) -> list[str]:
     """Return the names of the columns."""
     return ["recorded", *(variant.name for variant in replay.variants)]
-
-
-def summary_lines(replay: TruckReplay) -> list[str]:
-    """Return what the command prints: each shift in a line, then the statistics."""
-    log = replay.log
-    lines = [
-        f"{log.path}: {counted(len(replay.shifts), 'shift')} in {counted(log.frames, 'frame')} of a truck's log"
-    ]
-    lines += [f"  {shift.title}: {verdict(shift)[0]}" for shift in replay.shifts]
-    for column, variant in enumerate(replay.variants):
-        less, same, more = quicker(replay, column)
-        name = f"{variant.name} ({variant.changes})" if variant.changes else variant.name
-        lines.append(
-            f"{name}: quicker in {counted(less, 'shift')}, as quick in {same}, slower in {more}"
-        )
-    for row in statistics(replay):
-        cells = [
-            f"{name} {cell['median']:.3f} ({cell['p95']:.3f})"
-            for name, cell in zip(columns_of(replay), row["columns"], strict=True)
-            if cell["shifts"]
-        ]
-        if cells:
-            lines.append(f"  {row['figure']}, {row['unit']}, median (95 %): {'; '.join(cells)}")
-    return lines + [f"note: {note}" for note in replay.notes]
-
-
-def text(replay: TruckReplay) -> str:
-    """Return diff.txt: the summary, then all of each shift."""
-    lines = summary_lines(replay)
-    for shift in replay.shifts:
-        lines += ["", shift.title, f"  {shift.recorded.shift}"]
-        lines += [f"  {line}" for line in verdict(shift)]
-        lines += [f"  note: {note}" for note in shift.recorded.notes]
-        lines += [
-            f"  {entry.source}: {entry.path} = "
-            f"{entry.value if isinstance(entry.value, str) else format(entry.value, '.6g')} ({entry.text})"
-            for entry in shift.inputs
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def as_dict(replay: TruckReplay) -> dict[str, Any]:
-    """Return diff.json; times of a shift in s after its request."""
-    log = replay.log
-    found: dict[str, Any] = finite(
-        {
-            "format": 1,
-            "log": log.path,
-            "kind": "truck",
-            "frames": log.frames,
-            "map": log.mapping.path,
-            "dbc": log.mapping.dbc,
-            "columns": columns_of(replay),
-            "changes": [variant.changes for variant in replay.variants],
-            "quicker_same_slower": [quicker(replay, k) for k in range(len(replay.variants))],
-            "failed": [shift.number for shift in replay.failed],
-            "statistics": statistics(replay),
-            "shifts": [_shift_dict(shift) for shift in replay.shifts],
-            "notes": replay.notes,
-        }
-    )
-    return found
-
-
-def _shift_dict(shift: ComparedShift) -> dict[str, Any]:
-    recorded, sync = shift.recorded, shift.recorded.synchronisation
-    return {
-        "number": shift.number,
-        "title": shift.title,
-        **recorded.shift.as_dict(),
-        "request_ns": recorded.request_ns,
-        "in_statistics": shift.counts,
-        "skipped": shift.skipped,
-        "recorded": {
-            "times_s": recorded.times_s,
-            "known_to_s": recorded.known_s,
-            "peak_rad_s2": recorded.peak_rad_s2,
-            "ratios": None if sync is None else [sync.old_ratio, sync.new_ratio],
-            "signals": {name: s and s.origin for name, s in recorded.signals.items()},
-        },
-        "inputs": [entry._asdict() for entry in shift.inputs],
-        "ours": [_our_dict(ours) for ours in shift.ours],
-        "verdict": [verdict(shift, column) for column in range(max(len(shift.ours), 1))],
-        "notes": recorded.notes,
-    }
-
-
-def _our_dict(ours: OurShift) -> dict[str, Any]:
-    arrays = ("time_s", "position_m", "difference_rad_s")
-    return {name: value for name, value in vars(ours).items() if name not in arrays}

@@ -10,7 +10,7 @@ import pytest
 
 from sil.cli import main
 from sil.j1939.mapping import LAYOUT, SHIPPED
-from sil.replay import truck_page
+from sil.replay import report
 from tests.support.truck_synthesis import (
     DRIVE,
     MadeShift,
@@ -27,7 +27,7 @@ ONE = Truck(drive=DRIVE[:1], end_ms=6_000)
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the drawing, which takes longer than all else."""
-    monkeypatch.setattr(truck_page, "save", lambda figure, folder, name: bytes(64))
+    monkeypatch.setattr(report, "save", lambda figure, folder, name: bytes(64))
 
 
 def replayed(log: Path, capsys: Capture, *options: str) -> dict[str, Any]:

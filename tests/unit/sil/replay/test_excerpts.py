@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 from sil.replay.excerpts import (
-    LONGEST_NS,
-    MOST_DIFFERING,
-    MOST_EQUAL,
-    MOST_ROWS,
     Excerpt,
     ExcerptRecorder,
     Row,
@@ -24,7 +20,7 @@ def test_a_scene_has_what_came_before_and_after() -> None:
     scenes = ExcerptRecorder()
     for k in range(200):
         scenes.take(row(k, k >= 100, k >= 100), changed=k == 100, differs=False)
-    (scene,) = scenes.found
+    (scene,) = scenes.excerpts
     assert (scene.rows[0].time_ns, scene.rows[-1].time_ns) == (92 * TICK, 116 * TICK)
     assert not scene.differs
 
@@ -33,14 +29,14 @@ def test_only_so_many_and_so_long_scenes_are_kept() -> None:
     scenes = ExcerptRecorder()
     for k in range(4_000):  # a difference and an edge in turn, every half second
         scenes.take(row(k, False, k % 100 < 5), changed=k % 100 == 50, differs=k % 100 < 5)
-    assert sum(s.differs for s in scenes.found) == MOST_DIFFERING
-    assert sum(not s.differs for s in scenes.found) == MOST_EQUAL
+    assert sum(s.differs for s in scenes.excerpts) == 6
+    assert sum(not s.differs for s in scenes.excerpts) == 3
     always = ExcerptRecorder()
     for k in range(50_000):
         always.take(row(k, False, True), changed=False, differs=True)
-    assert len(always.found) == MOST_DIFFERING
-    assert all(len(s.rows) <= MOST_ROWS for s in always.found)
-    assert always.found[0].rows[-1].time_ns <= LONGEST_NS + TICK
+    assert len(always.excerpts) == 6
+    assert all(len(s.rows) <= 1000 for s in always.excerpts)
+    assert always.excerpts[0].rows[-1].time_ns <= 1_500_000_000 + TICK
 
 
 def test_waveforms_show_both_sides_and_mark_what_differs() -> None:

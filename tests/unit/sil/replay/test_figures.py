@@ -14,7 +14,7 @@ FOUND = replay(ReplayRequest(str(golden("full_shift")), settings={"controller.fi
 
 
 def test_both_shifts_are_on_the_axis_once() -> None:
-    scenes = FOUND.comparison.excerpts.found
+    scenes = FOUND.comparison.excerpts.excerpts
     (stack,) = excerpts_figure(scenes, FOUND.labels, FOUND.grid.origin_ns).stacks
     assert len(stack.zooms) == 2 and all(zoom.name.endswith("differs") for zoom in stack.zooms)
     position, coils, states = stack.panels
@@ -28,7 +28,7 @@ def test_both_shifts_are_on_the_axis_once() -> None:
 
 
 def test_lines_have_a_gap_only_between_scenes_that_are_apart() -> None:
-    rows = FOUND.comparison.excerpts.found[0].rows
+    rows = FOUND.comparison.excerpts.excerpts[0].rows
 
     def estimates(*parts: list[Row]) -> list[Series]:
         (stack,) = excerpts_figure([Excerpt(part) for part in parts], FOUND.labels, 0).stacks

@@ -14,7 +14,7 @@ from sil.j1939.mapping import SignalMapping
 from sil.logs import LogFrame
 from sil.replay.truck_log import TruckLog
 from sil.replay.truck_loop import Input, OurShift, inputs_of, side, simulate, why_not
-from sil.replay.truck_replay import ComparedShift, verdict
+from sil.replay.truck_replay import ComparedShift, truck_verdict
 from sil.replay.truck_shift import RecordedShift, recorded_shift
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
@@ -69,7 +69,9 @@ def test_gears_become_sides_of_the_stay() -> None:
             **{**vars(found), "shift": replace(found.shift, from_gear=before, to_gear=after)}
         )
         assert why in (why_not(odd) or "")
-        assert verdict(ComparedShift(1, odd, [], [], why_not(odd)))[0].startswith("not simulated: ")
+        assert truck_verdict(ComparedShift(1, odd, [], [], why_not(odd)))[0].startswith(
+            "not simulated: "
+        )
     assert why_not(found) is None
 
 
@@ -138,7 +140,7 @@ def test_a_gear_that_is_not_reached_is_said() -> None:
     stuck = ours(found, {"plant.pull_force_n": 90000})
     assert (not stuck.reached and "SHIFT_TIMEOUT" in stuck.faults) or "SENSOR_STUCK" in stuck.faults
     shift = ComparedShift(1, found, inputs_of(found), [stuck])
-    assert verdict(shift) == [f"ours does not reach the gear ({stuck.faults})"]
+    assert truck_verdict(shift) == [f"ours does not reach the gear ({stuck.faults})"]
 
 
 def test_the_same_bits_at_every_run() -> None:

@@ -7,17 +7,22 @@ from pathlib import Path
 import pytest
 
 from sil.logs import open_logs
-from sil.replay import truck_page, truck_replay
-from sil.replay.truck_replay import TruckReplay, quicker, statistics, verdict
+from sil.replay import report
+from sil.replay.figures import shift_figure
+from sil.replay.truck_replay import (
+    TruckReplay,
+    quicker,
+    replay_truck,
+    statistics,
+    truck_verdict,
+)
 from tests.support.truck_synthesis import DRIVE, Truck, write_log
 
 
 @pytest.fixture(scope="module")
 def replay(tmp_path_factory: pytest.TempPathFactory) -> TruckReplay:
     log = write_log(tmp_path_factory.mktemp("log") / "truck.log", Truck().frames())
-    found = truck_replay.replay_truck(
-        open_logs([log]), settings={"controller.shift.wait_for_sync": True}
-    )
+    found = replay_truck(open_logs([log]), settings={"controller.shift.wait_for_sync": True})
     assert found is not None and len(found.shifts) == len(DRIVE)
     return found
 
@@ -36,13 +41,13 @@ def test_statistics_are_over_the_shifts(replay: TruckReplay) -> None:
 
 def test_the_verdict_says_why_and_by_how_much(replay: TruckReplay) -> None:
     second = replay.shifts[1]
-    first, *reasons = verdict(second)
+    first, *reasons = truck_verdict(second)
     theirs, mine = second.recorded.times_s["engaged"], second.ours[0].times_s["engaged"]
     assert theirs is not None and mine is not None
     assert first.startswith(f"{theirs - mine:.3f} s quicker: {mine:.3f} s against {theirs:.3f} s")
     assert any("our cone takes the last" in line for line in reasons)
     assert any(line.startswith("harder: ") for line in reasons)
-    waiting = verdict(second, 1)
+    waiting = truck_verdict(second, 1)
     assert any(line.startswith("as soft: ") for line in waiting)
 
 
@@ -53,10 +58,9 @@ def test_the_page_has_a_picture_per_shift_up_to_a_number(
         (folder / f"{name}.png").touch()
         return bytes(64)
 
-    monkeypatch.setattr(truck_page, "save", empty)
-    monkeypatch.setattr(truck_page, "MOST_PICTURES", 2)
-    values = truck_replay.as_dict(replay)
-    page = truck_page.truck_page(replay, values, "opc4 replay truck.log", tmp_path)
+    monkeypatch.setattr(report, "save", empty)
+    values = report.truck_dict(replay)
+    page = report.truck_page(replay, values, "opc4 replay truck.log", tmp_path, max_pictures=2)
     assert page.count("<img") == 3
     assert "Pictures of 1 further shifts" in page
     assert {f"shift_{n}.png" for n in (1, 2, 3)} <= {path.name for path in tmp_path.iterdir()}
@@ -67,7 +71,7 @@ def test_the_page_has_a_picture_per_shift_up_to_a_number(
 
 
 def test_the_figure_shows_both_sides(replay: TruckReplay) -> None:
-    figure = truck_page.shift_figure(replay, replay.shifts[1])
+    figure = shift_figure(replay, replay.shifts[1])
     panels = {panel.title: panel for panel in figure.stacks[0].panels}
     speeds = panels["Speed difference at the synchronizer"]
     assert [line.label for line in speeds.series] == ["recorded", "ours", "what-if"]

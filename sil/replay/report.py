@@ -1,18 +1,73 @@
-"""What a replay found, as lines for a reader and as values for a program."""
+"""What a replay found: as lines, diff.txt, diff.json and report.html; also of trucks and their shifts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from itertools import takewhile
+from pathlib import Path
+from statistics import median
 from typing import Any
 
-from sil.files.quantity import counted
+import numpy as np
+
+from sil.files.output_folder import finite
+from sil.files.progress import Progress
+from sil.files.quantity import counted, noun
+from sil.j1939.summary import J1939Summary
+from sil.replay import figures
 from sil.replay.comparison import Difference, StateHistory
 from sil.replay.edges import shift_text
-from sil.replay.excerpts import waveforms
+from sil.replay.excerpts import Excerpt, waveforms
 from sil.replay.replay import ReplayResult
+from sil.replay.truck_loop import OurShift
+from sil.replay.truck_replay import (
+    ComparedShift,
+    TruckReplay,
+    columns_of,
+    quicker,
+    statistics,
+    truck_verdict,
+)
+from sil.replay.truck_shift import NAMES
+from sil.report.figure import Figure
+from sil.report.picture import save
+from sil.report.plots import Group, plots
+from sil.report.shell import Head, Picture, render
 
 MOST_STATES_SHOWN = 60
+
+
+@dataclass(frozen=True)
+class Report:
+    """A replay as it is reported. page: takes the call and the folder of the pictures."""
+
+    lines: list[str]
+    text: str
+    values: dict[str, Any]
+    page: Callable[[str, Path], str]
+
+
+def report(outcome: ReplayResult | TruckReplay) -> Report:
+    """Report a replay of our own unit's log or of a truck's.
+
+    Checked by: tests/unit/sil/replay/test_report.py
+    """
+    if isinstance(outcome, TruckReplay):
+        values = truck_dict(outcome)
+        return Report(
+            truck_lines(outcome),
+            truck_text(outcome),
+            values,
+            lambda call, folder: truck_page(outcome, values, call, folder),
+        )
+    values = as_dict(outcome)
+    return Report(
+        summary_lines(outcome),
+        text(outcome),
+        values,
+        lambda call, folder: replay_page(outcome, values, call, folder),
+    )
 
 
 def verdict(outcome: ReplayResult) -> str:
@@ -96,7 +151,7 @@ def text(outcome: ReplayResult) -> str:
         lines += _difference_lines(outcome, "first command that differs", found.first_command)
     if outcome.plant is not None:
         lines += ["plant", *_indented(plant_lines(outcome)), ""]
-    for scene in found.excerpts.found:
+    for scene in found.excerpts.excerpts:
         lines.append(f"waveforms, commands {'differ' if scene.differs else 'are equal'}")
         lines += _indented(waveforms(scene, outcome.labels, grid.origin_ns))
     lines += ["signals", *_indented(_signal_lines(outcome)), "", "frames"]
@@ -291,3 +346,246 @@ def _difference_dict(parting: Difference | None, base_ns: int) -> dict[str, Any]
     if parting is None:
         return None
     return parting.as_dict(base_ns) | {"inputs": parting.inputs}
+
+
+def replay_page(outcome: ReplayResult, values: dict[str, Any], command: str, folder: Path) -> str:
+    """Return the page, its figures written into the folder; `command` is the call that made it."""
+    states = [
+        {"name": history.name, "side": outcome.labels[side], "row": " ".join(row) or "nothing"}
+        for history in outcome.comparison.states
+        for side in (0, 1)
+        for row in (history.sequence(side)[:MOST_STATES_SHOWN],)
+    ]
+    head = Head(
+        command="replay",
+        name=outcome.request.log,
+        verdict="differs" if outcome.differs else "no difference",
+        good=not outcome.differs,
+        tiles=_tiles(outcome),
+        again=command,
+    )
+    pictures, groups = _pictures(outcome, folder)
+    return render(
+        "replay.html",
+        head,
+        groups,
+        diff=values,
+        edges=edge_lines(outcome),
+        pictures=pictures,
+        states=states,
+        plant=plant_lines(outcome) if outcome.plant is not None else [],
+        frames=account_lines(outcome),
+    )
+
+
+def _tiles(outcome: ReplayResult) -> list[tuple[str, str]]:
+    results = outcome.comparison.matched_edges()
+    alone = sum(len(r.matching.dropped) + len(r.matching.added) for r in results)
+    shifts = [abs(s) for result in results for s in result.shift_ns]
+    return [
+        (f"{outcome.comparison.ticks}", "ticks compared"),
+        (f"{outcome.comparison.differing_ticks}", "ticks that differ"),
+        (f"{sum(len(result.signal.recorded) for result in results)}", "edges recorded"),
+        (f"{sum(1 for s in shifts if s)}", "edges moved"),
+        (f"{alone}", "edges gone or new"),
+        (f"{max(shifts, default=0) / 1e6:g} ms", "farthest moved"),
+        (f"{outcome.account.total} of {outcome.frames}", "frames accounted for"),
+    ]
+
+
+def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[Group]]:
+    """Return the pictures, each written into the folder, and the plots of the same figures."""
+    scenes = outcome.comparison.excerpts.excerpts
+    positions = outcome.plant.positions if outcome.plant is not None else []
+
+    def drawn(part: Sequence[Excerpt]) -> Figure:
+        return figures.excerpts_figure(part, outcome.labels, outcome.grid.origin_ns, positions)
+
+    a, b = outcome.labels
+    alt = "Position, coils and states of both sides over time"
+    caption = (
+        f"The controller's estimate, the coils energised (pale: {a}, full: {b}) and the states."
+    )
+    pictures = [
+        Picture(save(drawn([scene]), folder, f"scene_{number}"), alt, caption)
+        for number, scene in enumerate(scenes, start=1)
+    ]
+    groups = plots(drawn(scenes)) if scenes else []
+    if any(np.isfinite(p.recorded_m) for p in positions):
+        figure = figures.positions_figure(positions, outcome.grid.origin_ns)
+        alt = "Recorded and replayed position over time"
+        caption = "The plant's position as recorded and as replayed."
+        pictures.append(Picture(save(figure, folder, "positions"), alt, caption))
+        groups += plots(figure)
+    return pictures, groups
+
+
+def truck_lines(replay: TruckReplay) -> list[str]:
+    """Return what the command prints: each shift in a line, then the statistics."""
+    log = replay.log
+    lines = [
+        f"{log.path}: {counted(len(replay.shifts), 'shift')} in {counted(log.frames, 'frame')} of a truck's log"
+    ]
+    lines += [f"  {shift.title}: {truck_verdict(shift)[0]}" for shift in replay.shifts]
+    for column, variant in enumerate(replay.variants):
+        less, same, more = quicker(replay, column)
+        name = f"{variant.name} ({variant.changes})" if variant.changes else variant.name
+        lines.append(
+            f"{name}: quicker in {counted(less, 'shift')}, as quick in {same}, slower in {more}"
+        )
+    for row in statistics(replay):
+        cells = [
+            f"{name} {cell['median']:.3f} ({cell['p95']:.3f})"
+            for name, cell in zip(columns_of(replay), row["columns"], strict=True)
+            if cell["shifts"]
+        ]
+        if cells:
+            lines.append(f"  {row['figure']}, {row['unit']}, median (95 %): {'; '.join(cells)}")
+    return lines + [f"note: {note}" for note in replay.notes]
+
+
+def truck_text(replay: TruckReplay) -> str:
+    """Return diff.txt: the summary, then all of each shift."""
+    lines = truck_lines(replay)
+    for shift in replay.shifts:
+        lines += ["", shift.title, f"  {shift.recorded.shift}"]
+        lines += [f"  {line}" for line in truck_verdict(shift)]
+        lines += [f"  note: {note}" for note in shift.recorded.notes]
+        lines += [
+            f"  {entry.source}: {entry.path} = "
+            f"{entry.value if isinstance(entry.value, str) else format(entry.value, '.6g')} ({entry.text})"
+            for entry in shift.inputs
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def truck_dict(replay: TruckReplay) -> dict[str, Any]:
+    """Return diff.json; times of a shift in s after its request."""
+    log = replay.log
+    found: dict[str, Any] = finite(
+        {
+            "format": 1,
+            "log": log.path,
+            "kind": "truck",
+            "frames": log.frames,
+            "map": log.mapping.path,
+            "dbc": log.mapping.dbc,
+            "columns": columns_of(replay),
+            "changes": [variant.changes for variant in replay.variants],
+            "quicker_same_slower": [quicker(replay, k) for k in range(len(replay.variants))],
+            "failed": [shift.number for shift in replay.failed],
+            "statistics": statistics(replay),
+            "shifts": [_shift_dict(shift) for shift in replay.shifts],
+            "notes": replay.notes,
+        }
+    )
+    return found
+
+
+def _shift_dict(shift: ComparedShift) -> dict[str, Any]:
+    recorded, sync = shift.recorded, shift.recorded.synchronisation
+    return {
+        "number": shift.number,
+        "title": shift.title,
+        **recorded.shift.as_dict(),
+        "request_ns": recorded.request_ns,
+        "in_statistics": shift.counts,
+        "skipped": shift.skipped,
+        "recorded": {
+            "times_s": recorded.times_s,
+            "known_to_s": recorded.known_s,
+            "peak_rad_s2": recorded.peak_rad_s2,
+            "ratios": None if sync is None else [sync.old_ratio, sync.new_ratio],
+            "signals": {name: s and s.origin for name, s in recorded.signals.items()},
+        },
+        "inputs": [entry._asdict() for entry in shift.inputs],
+        "ours": [_our_dict(ours) for ours in shift.ours],
+        "verdict": [truck_verdict(shift, column) for column in range(max(len(shift.ours), 1))],
+        "notes": recorded.notes,
+    }
+
+
+def _our_dict(ours: OurShift) -> dict[str, Any]:
+    arrays = ("time_s", "position_m", "difference_rad_s")
+    return {name: value for name, value in vars(ours).items() if name not in arrays}
+
+
+def truck_page(
+    replay: TruckReplay,
+    values: dict[str, Any],
+    command: str,
+    folder: Path,
+    max_pictures: int = 40,
+    max_plots: int = 12,
+) -> str:
+    """Return the page of a truck's shifts, its pictures written into the folder.
+
+    Pictures beyond `max_pictures` are files in the folder only; `max_plots` shifts can be zoomed.
+    """
+    alt = "Time from request to new gear of each shift, recorded and ours"
+    caption = "Request to new gear of each shift. Shaded: not in the statistics."
+    overview = Picture(save(figures.all_shifts_figure(replay), folder, "shifts"), alt, caption)
+    caption = "Recorded side and ours after the request; the engine's torque is the truck's."
+    pictures: list[Picture] = []
+    groups: list[Group] = []
+    with Progress("pictures") as progress:
+        for count, shift in enumerate(replay.shifts, start=1):
+            figure = figures.shift_figure(replay, shift)
+            png = save(figure, folder, f"shift_{shift.number}")
+            if len(groups) < max_plots:
+                groups += plots(figure)
+            if count <= max_pictures:
+                alt = f"Shift {shift.title}: recorded and ours on one time axis"
+                pictures.append(Picture(png, alt, caption))
+            progress(count, len(replay.shifts))
+    less, same, more = quicker(replay, 0)
+    head = Head(
+        command="replay",
+        name=replay.log.path,
+        verdict="a gear not reached" if replay.failed else "",
+        good=False if replay.failed else None,
+        tiles=[
+            (f"{len(replay.shifts)}", "shifts recorded"),
+            (f"{less}", "ours quicker"),
+            (f"{same}", "as quick"),
+            (f"{more}", "ours slower"),
+            (f"{len(replay.failed)}", "not reached by ours"),
+        ],
+        again=command,
+    )
+    return render(
+        "truck.html",
+        head,
+        groups,
+        diff=values,
+        names=NAMES,
+        overview=overview,
+        pictures=pictures,
+        hidden=max(0, len(replay.shifts) - max_pictures),
+    )
+
+
+def shifts_page(summary: J1939Summary, log: str, command: str, folder: Path) -> str:
+    """Return the page of a summary, the overview and the first 12 shifts as pictures in the folder."""
+    overview = figures.shift_times_figure(summary)
+    caption = "Shift time of each shift over the time of the log."
+    pictures = [Picture(save(overview, folder, "shifts"), "Shift times", caption)]
+    for number, shift in enumerate(summary.shifts[:12], start=1):
+        figure = figures.engine_figure(summary, [shift])
+        if any(panel.series for panel in figure.stacks[0].panels):
+            image = save(figure, folder, f"shift_{number}")
+            pictures.append(Picture(image, "Engine around the shift", f"Shift {number}: {shift}"))
+    times_s = [shift.duration_s for shift in summary.shifts]
+    head = Head(
+        command="replay",
+        name=log,
+        verdict=counted(len(times_s), "shift"),
+        tiles=[
+            (f"{summary.frames}", noun(summary.frames, "frame")),
+            (f"{len(times_s)}", noun(len(times_s), "shift")),
+            (f"{median(times_s):.3f} s" if times_s else "none", "median shift time"),
+        ],
+        again=command,
+    )
+    groups = plots(overview) + plots(figures.engine_figure(summary, summary.shifts))
+    return render("shifts.html", head, groups, lines=summary.lines()[1:], pictures=pictures)

@@ -7,9 +7,8 @@ import re
 from base64 import b64decode
 from pathlib import Path
 
-from sil.replay.page import replay_page
 from sil.replay.replay import ReplayRequest, replay
-from sil.replay.summary import as_dict, summary_lines, text
+from sil.replay.report import as_dict, replay_page, summary_lines, text
 from tests.support.golden_logs import golden
 
 FOUND = replay(ReplayRequest(str(golden("full_shift")), settings={"controller.filter": False}))
