@@ -36,7 +36,12 @@ def parse_setting(text: str) -> tuple[str, Any]:
 
 def setting_texts(settings: Settings) -> list[str]:
     """Return settings as PATH=VALUE, as a user types them."""
-    return [f"{path}={toml_value(value)}" for path, value in settings.items()]
+    texts = []
+    for path, value in settings.items():
+        typed = f"{path}={value}"
+        plain = isinstance(value, str) and value and parse_setting(typed) == (path, value)
+        texts.append(typed if plain else f"{path}={toml_value(value)}")
+    return texts
 
 
 def toml_value(value: Any) -> str:
