@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sil.files.quantity import quantity
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -44,6 +46,7 @@ class Cause:
     parameters: dict[str, Interval]
     evidence: str
     variant: str = ""
+    what: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the object in `causes` of diagnosis.json."""
@@ -54,6 +57,30 @@ class Cause:
             "parameters": {name: item.as_json() for name, item in self.parameters.items()},
             "evidence": self.evidence,
         }
+
+
+def headline(verdict: str, causes: Sequence[Cause], sizes: Sequence[str], reason: str) -> str:
+    """Return the one sentence that a reader needs first.
+
+    sizes: what would have been found, as text; reason: why nothing can be concluded.
+    """
+    if verdict == "cannot_tell":
+        return f"These data cannot tell: {reason}."
+    if not causes:
+        seen = f" {', '.join(sizes)} would have been seen." if sizes else ""
+        return f"Nothing found.{seen}"
+    first = causes[0]
+    if verdict == "unnamed":
+        return f"Something is wrong ({first.cause_class}); no cause of the catalogue fits."
+    texts = []
+    for cause in causes:
+        name, item = next(iter(cause.parameters.items()))
+        unit = "" if item.unit == "-" else item.unit
+        value, low, high = (quantity(v, unit, 3) for v in (item.value, item.low, item.high))
+        what = cause.what or cause.id.replace("_", " ")
+        texts.append(f"{cause.cause_class}: {what}, {name} {value} ({low} to {high})")
+    text = ("; or " if verdict == "ambiguous" else "; and ").join(texts)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 FALSE_ALARM_LEVEL = 0.01

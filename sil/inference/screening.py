@@ -13,21 +13,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import copysign, inf, sqrt
-from typing import Final
+from typing import Any
 
 import numpy as np
 
 from plant.errors import IntegrationError
+from sil.files.quantity import quantity
 from sil.inference.arrow import FARTHEST_SD, arrow
 from sil.inference.candidate import Candidate
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.problem import Floats, Problem
 from sil.inference.refused import shown
-
-ROUNDS: Final = 12
-"""Values that are tried for the smallest size that would be noticed."""
-CLOSE: Final = 0.1
-"""Share by which what it changes may differ from what would be noticed."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +49,73 @@ class Score:
             return None
         value = main.neutral + (2.0 * gain / self.square) ** 0.5 * (self.start[0] - main.neutral)
         return value if main.low <= value <= main.high else None
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest value of a cause's main parameter that would have been claimed.
+
+    others: values of its other parameters for which that holds.
+    """
+
+    candidate: Candidate
+    value: float
+    others: dict[str, float]
+
+    @property
+    def size(self) -> float:
+        """Difference to neutral, in the parameter's unit."""
+        return abs(self.value - self.candidate.parameters[0].neutral)
+
+    @property
+    def typical_sizes(self) -> float:
+        """Difference to neutral in typical sizes."""
+        return self.size / self.candidate.parameters[0].typical
+
+    def __str__(self) -> str:
+        main = self.candidate.parameters[0]
+        unit = "" if main.unit == "-" else main.unit
+        return f"{self.candidate.id} from {main.name} {quantity(self.value, unit, 2)}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object in `detectable` of diagnosis.json."""
+        main = self.candidate.parameters[0]
+        return {
+            "id": self.candidate.id,
+            "parameter": main.name,
+            "size": self.size,
+            "unit": main.unit,
+            "value": self.value,
+            "neutral": main.neutral,
+            "typical_sizes": self.typical_sizes,
+            "form": self.candidate.variant,
+            "others": self.others,
+        }
+
+
+def detectable(
+    fitter: Fitter, healthy: FitResult, scores: Sequence[Score], gain: float
+) -> list[Detectable]:
+    """Return the smallest size of each cause that would gain so much, by linear scores there.
+
+    Each cause in the form in which that is least. One that is missing would not have been noticed
+    within its physical bounds.
+    """
+    if not scores:
+        return []
+    sizes: dict[str, Detectable] = {}
+    screening = Screening(fitter, healthy)
+    for score in scores:
+        value = screening.smallest(score, gain)
+        if value is None:
+            continue
+        names = [parameter.name for parameter in score.candidate.parameters[1:]]
+        others = dict(zip(names, score.start[1:], strict=True))
+        item = Detectable(score.candidate, value, others)
+        before = sizes.get(score.candidate.id)
+        if before is None or item.typical_sizes < before.typical_sizes:
+            sizes[score.candidate.id] = item
+    return list(sizes.values())
 
 
 def change_of(
@@ -137,7 +200,7 @@ class Screening:
         main, others = score.candidate.parameters[0], score.start[1:]
         too_small, enough, by = 0.0, inf, abs(first)
         value = main.neutral + first
-        for k in range(ROUNDS):
+        for k in range(12):
             value = main.neutral + copysign(by, first)
             if not main.low <= value <= main.high:
                 return None
@@ -145,7 +208,7 @@ class Screening:
             if found is None or found.square == 0.0:
                 return None
             ratio = sqrt(2.0 * gain / found.square)
-            if abs(ratio - 1.0) <= CLOSE:
+            if abs(ratio - 1.0) <= 0.1:
                 break
             too_small, enough = (by, enough) if ratio > 1.0 else (too_small, by)
             by *= ratio

@@ -1,6 +1,6 @@
-"""Search over hypotheses: the healthy plant, every single cause, pairs of the promising ones.
+"""Search over hypotheses: healthy, single causes, pairs, judgement, challenge of the leader.
 
-Everything here uses the training strokes alone; the held-out strokes judge afterwards.
+Hypotheses are found with the training blocks alone; the held-out ones judge.
 Checked by: tests/unit/sil/inference/test_search.py, test_diagnose.py
 """
 
@@ -20,35 +20,47 @@ from sil.inference.evidence import misfit, strained
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.problem import Block, Floats, Problem
 from sil.inference.screening import Score, screen
+from sil.inference.verdict import Held, Judged, Verdict, acceptable, decide, judge, weigh
 from sil.inference.workers import Stages, fitted
 
-WORTH = 12.0
-"""Linear gain in cost below which a further effect is not even tried."""
 
-FIRST_ITERATIONS = 3
-LAST_ITERATIONS = 10
-MOST_ITERATIONS = 30
-MOST_SINGLES = 6
-MOST_PAIRS = 5
-FEWEST = 3
-HOPELESS = 6.0
-"""A first fit whose cost is larger than the best one's by this factor is not finished."""
+@dataclass(frozen=True)
+class Budget:
+    """How far a search goes; measured by `python -m tests.bench diagnosis`."""
 
-SAMPLE = 8
-NEAR = 1.0
-"""Excess of chi squared per number below which the healthy fit's linear scores can be trusted."""
-PARENTS = 3
-CROSSED = 7
-"""So many of the best singles are tried in pairs with each other."""
-OUTSTANDING = 50.0
-"""A single whose cost is smaller by this factor than any other's is part of every pair tried."""
-FAR = 3.0
-"""Cost per number above which a fit begins with the hypothesis' own parameters alone ..."""
-EFFECTS_FIRST = 3
-"""... for so many iterations."""
-CHILDREN = 3
-ALIKE = 4.0
-"""Log evidence below which the data cannot distinguish two causes."""
+    first_iterations: int = 3
+    last_iterations: int = 10
+    valley_iterations: int = 30
+    own_iterations: int = 3
+    """Of a fit that begins far off: with the hypothesis' own parameters alone."""
+    far_cost_per_number: float = 3.0
+    """From here on a fit begins far off."""
+    linear_excess_per_number: float = 1.0
+    """Up to here the healthy fit's linear scores can be trusted."""
+    min_linear_gain: float = 12.0
+    """Gain in cost that a further effect must promise to be tried."""
+    sample_blocks: int = 8
+    """Blocks that first fits use."""
+    singles: int = 6
+    pairs: int = 5
+    always_finished: int = 3
+    max_cost_ratio: float = 6.0
+    """Cost over the best one's up to which more first fits than `always_finished` are finished."""
+    parents: int = 3
+    children: int = 3
+    crossed: int = 7
+    """The best singles, tried in pairs with each other."""
+    outstanding_ratio: float = 50.0
+    """A single whose cost is smaller by this factor than any other's is part of every pair."""
+    alike_evidence: float = 4.0
+    """Log evidence below which the data cannot distinguish two causes."""
+    terms: int = 2
+    term_iterations: int = 6
+    max_unexplained_share: float = 1e-3
+    """Share of the healthy misfit, beyond noise, that is a detail of a cause's form."""
+
+
+BUDGET = Budget()
 
 
 @dataclass(frozen=True)
@@ -87,42 +99,86 @@ class Fits(dict[str, FitResult]):
 
 
 class Search:
-    """Fits hypotheses to the training strokes of a campaign."""
+    """Fits hypotheses to the training blocks of a problem, and concludes by the held-out ones.
+
+    terms: candidates without a form, tried where no named one explains.
+    """
 
     def __init__(
         self,
         model: Problem,
         candidates: Sequence[Candidate],
         training: Sequence[int],
+        held_out: Sequence[int] = (),
+        terms: Sequence[Candidate] = (),
         workers: int = 1,
         progress: Show = no_progress,
     ) -> None:
         self.model = model
         self.fitter = Fitter(model)
-        self.candidates = list(candidates)
-        self.training = tuple(training)
+        self.candidates, self.terms = list(candidates), list(terms)
+        self.training, self.held_out = tuple(training), tuple(held_out)
         self.sample = _sample_of(model, self.training)
         self.sample_size = sum(len(model.measured[k]) for k in self.sample)
         self.workers = workers
         self.stages = Stages(progress)
-        self.stages.until(5.0)
         self.healthy: FitResult
         self.fits = Fits()
         self.first: list[FitResult] = []
-        self.known: dict[str, dict[int, Block]] = {}
+        self.parent_blocks: dict[str, dict[int, Block]] = {}
         self.varied: set[str] = set()
         self.scores: list[Score] = []
+        self.judged: list[Judged] = []
+        self.held_fits: Held = {}
+        self.verdict: Verdict[Judged]
 
-    def run(self) -> None:
-        """Fit the healthy model, singles and pairs."""
+    def run(self) -> Verdict[Judged]:
+        """Return the verdict after all stages.
+
+        Raises IntegrationError if the healthy model cannot follow the blocks.
+        """
+        for percent, stage in (
+            (5.0, self.fit_healthy),
+            (45.0, self.singles),
+            (75.0, self.pairs),
+            (75.0, self.vary_best),
+            (85.0, self.judge),
+            (95.0, self.challenge),
+        ):
+            self.stages.until(percent)
+            stage()
+        return self.verdict
+
+    def fit_healthy(self) -> None:
+        """Fit the healthy model."""
         self.healthy = self.fitter.fit(use=self.training, iterations=8, fine=True)
-        self.stages.until(45.0)
-        self.singles()
-        self.stages.until(75.0)
-        self.pairs()
+
+    def vary_best(self) -> None:
+        """Try the best fit's causes in other variants, if it leaves something."""
         best = self.fits.ordered()[:1]
         if best and misfit(self.model, best[0]).beyond > 0.0:
             self.try_variants(best[0])
+
+    def judge(self) -> None:
+        """Judge the healthy fit and the best ones by the held-out blocks, and decide."""
+        ones, twos, threes = (self.fits.of_size(count) for count in (1, 2, 3))
+        chosen = [self.healthy, *ones[:8], *twos[:8], *threes[:2]]
+        judged = judge(self.fitter, chosen, self.held_out, self.workers, self.held_fits)
+        self.judged = [item for item in judged if acceptable(item)]
+        weigh(self.judged)
+        self.verdict = decide(self.judged, self.model.size)
+
+    def challenge(self) -> None:
+        """Try what may replace the leader: look-alikes, other variants, terms without a form."""
+        verdict, leader = self.verdict, self.verdict.leader
+        tried = []
+        if verdict.claimed:
+            tried.append(self.try_alike(leader.training, min(verdict.gains.values())))
+            if leader.whole.beyond > 0.0:  # the held-out blocks may show it alone
+                tried.append(self.try_variants(leader.training))
+        tried.append(self.try_terms())
+        if any(tried):
+            self.judge()
 
     # --- fits ---------------------------------------------------------------------------------
     def attempt(self, task: Task) -> FitResult | None:
@@ -144,7 +200,9 @@ class Search:
                     best = (cost, trial, scatter)
         if best is None:
             return None
-        first = EFFECTS_FIRST if best[0] > FAR * self.sample_size else 0
+        first = (
+            BUDGET.own_iterations if best[0] > BUDGET.far_cost_per_number * self.sample_size else 0
+        )
         try:
             return self.fitter.fit(
                 task.candidates,
@@ -153,13 +211,13 @@ class Search:
                 use=self.sample,
                 iterations=task.iterations + first,
                 effects_first=first,
-                reuse=self.known.get(task.parent, {}),
+                reuse=self.parent_blocks.get(task.parent, {}),
             ).light()
         except IntegrationError as error:
             self.fitter.refusals.lose(task.candidates, error)
             return None
 
-    def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
+    def refine(self, fit: FitResult, iterations: int = BUDGET.last_iterations) -> FitResult:
         """Continue a fit from its optimum; strokes it did not use get their scatter first."""
         scatter = fit.stroke.copy()
         unused = sorted(set(self.training) - set(fit.use))
@@ -188,7 +246,7 @@ class Search:
 
     def polish(self, fits: Sequence[FitResult], again: bool = True) -> None:
         """Fit all training strokes from the first fits; store the better ones."""
-        most = LAST_ITERATIONS if again else MOST_ITERATIONS
+        most = BUDGET.last_iterations if again else BUDGET.valley_iterations
 
         def work(fit: FitResult) -> FitResult | None:
             try:
@@ -201,7 +259,7 @@ class Search:
             if fit is not None:
                 self.fits.add(fit)
         best = self.fits.ordered()[:1]
-        if again and best and best[0].iterations >= LAST_ITERATIONS:
+        if again and best and best[0].iterations >= BUDGET.last_iterations:
             self.polish(best, False)  # a long valley
 
     # --- stages -------------------------------------------------------------------------------
@@ -214,30 +272,37 @@ class Search:
         healthy = self.healthy
         chosen: list[Candidate] = self.candidates
         is_strained = strained(healthy)
-        if misfit(self.model, healthy).per_number < NEAR and not is_strained:
-            self.known[healthy.name] = healthy.blocks
+        if (
+            misfit(self.model, healthy).per_number < BUDGET.linear_excess_per_number
+            and not is_strained
+        ):
+            self.parent_blocks[healthy.name] = healthy.blocks
             self.scores = screen(self.fitter, healthy, self.candidates)
-            chosen = [s.candidate for s in self.scores if s.gain > WORTH][: 2 * MOST_SINGLES]
+            chosen = [s.candidate for s in self.scores if s.gain > BUDGET.min_linear_gain][
+                : 2 * BUDGET.singles
+            ]
         begin = (healthy.shared, healthy.stroke)
         tasks = []
         for item in chosen:
             starts = tuple((start,) for start in item.starts)
-            tasks.append(Task((item,), starts, begin, FIRST_ITERATIONS, healthy.name))
+            tasks.append(Task((item,), starts, begin, BUDGET.first_iterations, healthy.name))
             if item.effect.rugged or (item.effect.tolerance and is_strained):
-                tasks += [Task((item,), (start,), None, FIRST_ITERATIONS) for start in starts]
+                tasks += [
+                    Task((item,), (start,), None, BUDGET.first_iterations) for start in starts
+                ]
         self.first = self.run_tasks(tasks)
-        self.polish(_promising(self.first, MOST_SINGLES))
+        self.polish(_promising(self.first, BUDGET.singles))
 
     def pairs(self) -> None:
         """Try a second cause on top of the best singles, by score; then finish the best pairs."""
         tasks: list[Task] = []
         for parent, scores in fitted(self.fitter, self.scored, self.parents(), self.workers):
-            self.known[parent.name] = parent.blocks
-            tasks += [self.pair_task(parent, score) for score in scores[:CHILDREN]]
+            self.parent_blocks[parent.name] = parent.blocks
+            tasks += [self.pair_task(parent, score) for score in scores[: BUDGET.children]]
         unique: dict[frozenset[str], Task] = {}
         for task in tasks + self.crossed():
             unique.setdefault(frozenset(item.name for item in task.candidates), task)
-        self.polish(_promising(self.run_tasks(list(unique.values())), MOST_PAIRS))
+        self.polish(_promising(self.run_tasks(list(unique.values())), BUDGET.pairs))
 
     def crossed(self) -> list[Task]:
         """Pairs of the best singles: while much is unexplained, linear scores mislead."""
@@ -245,16 +310,20 @@ class Search:
         if not best or misfit(self.model, best[0]).beyond == 0.0:
             return []
         singles = _one_of_each(self.first)
-        outstanding = len(singles) > 1 and OUTSTANDING * singles[0].cost < singles[1].cost
+        outstanding = (
+            len(singles) > 1 and BUDGET.outstanding_ratio * singles[0].cost < singles[1].cost
+        )
         tasks = []
-        for one, two in itertools.combinations(singles[:CROSSED], 2):
+        for one, two in itertools.combinations(singles[: BUDGET.crossed], 2):
             other = two.candidates[0]
             if (outstanding and one is not singles[0]) or not compatible(other, one.candidates):
                 continue
             starts = [(*one.point, *two.point)]
             starts += [(*one.point, start) for start in other.starts[:4]]
             both = (*one.candidates, other)
-            tasks.append(Task(both, tuple(starts), (one.shared, one.stroke), FIRST_ITERATIONS))
+            tasks.append(
+                Task(both, tuple(starts), (one.shared, one.stroke), BUDGET.first_iterations)
+            )
         return tasks
 
     def try_variants(self, best: FitResult) -> bool:
@@ -282,7 +351,9 @@ class Search:
                     (*best.point[:index], start, *best.point[index + 1 :]) for start in starts
                 )
                 if points:
-                    tasks.append(Task((*before, other, *after), points, begin, FIRST_ITERATIONS))
+                    tasks.append(
+                        Task((*before, other, *after), points, begin, BUDGET.first_iterations)
+                    )
         self.polish(self.run_tasks(tasks)[:1])
         return bool(tasks)
 
@@ -290,7 +361,7 @@ class Search:
         """Fit what the leader's covariance cannot distinguish from its one cause; True if there is any.
 
         gain: of that cause, in log evidence; another one of which the leader imitates so much that
-        less than ALIKE of it would remain is a rival, if it fits.
+        less than `alike_evidence` of it would remain is a rival, if it fits.
         """
         before = {score.candidate.name: score.free for score in self.scores}
         if len(leader.candidates) != 1 or not before:
@@ -299,21 +370,52 @@ class Search:
         tasks = [
             Task((score.candidate,), tuple((start,) for start in score.candidate.starts), None, 6)
             for score in screen(self.fitter, self.refine(leader, 0), others)
-            if gain * score.free < ALIKE * before.get(score.candidate.name, 0.0)
+            if gain * score.free < BUDGET.alike_evidence * before.get(score.candidate.name, 0.0)
             and score.candidate.name not in self.fits
         ]
         self.polish(self.run_tasks(tasks))
         return bool(tasks)
 
+    def try_terms(self) -> bool:
+        """Fit terms without a form alone and with the best single; True if any was tried.
+
+        Only if the best hypothesis leaves more than the band of clean blocks and a detail, or owes
+        its agreement to scatter that healthy blocks do not have.
+        """
+        best = min(self.judged, key=lambda item: item.score)
+        excess = max(1.0, self.verdict.healthy.whole.excess)
+        detail = BUDGET.max_unexplained_share * excess + best.whole.detail
+        if best.whole.beyond <= detail and not strained(best.training):
+            return False
+        parents = [self.healthy]
+        singles = self.fits.of_size(1)
+        if singles and singles[0].cost < 0.5 * self.healthy.cost:
+            parents.append(singles[0])
+        tasks = [
+            Task(
+                (*parent.candidates, item),
+                tuple((*parent.point, start) for start in item.starts),
+                (parent.shared, parent.stroke),
+                BUDGET.term_iterations,
+            )
+            for item in self.terms
+            for parent in parents
+            if compatible(item, parent.candidates)
+        ]
+        self.polish(self.run_tasks(tasks)[: BUDGET.terms])
+        return bool(tasks)
+
     def parents(self) -> list[FitResult]:
         """Singles that a second cause may be added to: the best ones, one for each identifier."""
-        return _one_of_each(self.fits.of_size(1))[:PARENTS]
+        return _one_of_each(self.fits.of_size(1))[: BUDGET.parents]
 
     def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:
         """Scores of every compatible candidate on top of a single."""
         full = self.refine(parent, 0)
         others = [c for c in self.candidates if compatible(c, parent.candidates)]
-        return full, [s for s in screen(self.fitter, full, others) if s.gain > WORTH]
+        return full, [
+            s for s in screen(self.fitter, full, others) if s.gain > BUDGET.min_linear_gain
+        ]
 
     def pair_task(self, parent: FitResult, score: Score) -> Task:
         """Return the fit of a pair, beginning at the single's optimum and the score's amount."""
@@ -326,7 +428,7 @@ class Search:
             (*parent.candidates, score.candidate),
             tuple(starts),
             (parent.shared, parent.stroke),
-            FIRST_ITERATIONS + 1,
+            BUDGET.first_iterations + 1,
             parent.name,
         )
 
@@ -340,19 +442,21 @@ def _one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
 
 
 def _promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
-    """Fits worth finishing: the FEWEST best, and others whose cost is not hopelessly larger."""
+    """Fits worth finishing: the best, and others whose cost is not hopelessly larger."""
     if not fits:
         return []
-    limit = HOPELESS * fits[0].cost
-    return [fit for k, fit in enumerate(fits[:most]) if k < FEWEST or fit.cost < limit]
+    limit = BUDGET.max_cost_ratio * fits[0].cost
+    return [
+        fit for k, fit in enumerate(fits[:most]) if k < BUDGET.always_finished or fit.cost < limit
+    ]
 
 
 def _sample_of(model: Problem, training: Sequence[int]) -> tuple[int, ...]:
-    """Return a few training strokes for first fits: each stratum in turn, at most SAMPLE."""
+    """Return a few training strokes for first fits: each stratum in turn, at most `sample_blocks`."""
     ranks: Counter[Hashable] = Counter()
     ranked = []
     for k in training:
         key = model.stratum(k)
         ranked.append((ranks[key], k))
         ranks[key] += 1
-    return tuple(sorted(k for _rank, k in sorted(ranked)[:SAMPLE]))
+    return tuple(sorted(k for _rank, k in sorted(ranked)[: BUDGET.sample_blocks]))

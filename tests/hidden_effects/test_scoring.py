@@ -102,13 +102,13 @@ def test_an_answer_with_other_instruments_is_right_unable_or_wrong(
         value = {"travel_m": {"value": 2e-4}}
         return {"id": name, "class": "mechanics", "probability": p, "parameters": value}
 
-    limit = {"parameter": "travel_m", "value": 1e-4, "neutral": 0.0, "size": 0.1}
+    limit = {"id": "free_play", "parameter": "travel_m", "size": 1e-4, "neutral": 0.0}
     answer = {"verdict": verdict, "rivals": rivals, "causes": [cause(*item) for item in found]}
     hidden = [cause("free_play")]
-    assert outcome(hidden, answer | {"smallest_noticed": {"free_play": limit}}) == expected
+    assert outcome(hidden, answer | {"detectable": [limit]}) == expected
     other = limit | {"others": {"travel_m": 1e-3}}  # stated for another value than the hidden one's
     unsaid = "unable" if verdict == "consistent" else expected
-    assert outcome(hidden, answer | {"smallest_noticed": {"free_play": other}}) == unsaid
-    small = answer | {"smallest_noticed": {"free_play": limit | {"value": 3e-4}}}
+    assert outcome(hidden, answer | {"detectable": [other]}) == unsaid
+    small = answer | {"detectable": [limit | {"size": 3e-4}]}
     assert outcome(hidden, small) == ("unable" if verdict == "consistent" else expected)
     assert (outcome([], answer) == "wrong") == bool(found)

@@ -31,7 +31,15 @@ def causes_of(
         probability = verdict.probabilities[candidate.id]
         kind = candidate.cause_class
         causes.append(
-            Cause(candidate.id, kind, probability, parameters, evidence, candidate.variant)
+            Cause(
+                candidate.id,
+                kind,
+                probability,
+                parameters,
+                evidence,
+                candidate.variant,
+                candidate.effect.what,
+            )
         )
 
     found = intervals(fitter, final, verdict.leader.whole, workers)
@@ -48,7 +56,7 @@ def causes_of(
         add(
             candidate,
             own,
-            f"cannot be distinguished: {item.name} is {behind:.1f} behind in log evidence",
+            f"{item.name} is {behind:.1f} behind in log evidence",
         )
     gains = verdict.gains
     return sorted(causes, key=lambda cause: (-cause.probability, -gains.get(cause.id, 0.0)))

@@ -13,6 +13,7 @@ import numpy as np
 
 from can_dbc.errors import InputError
 from plant.effects.effect import Need
+from plant.effects.term import FORMS
 from plant.errors import IntegrationError
 from plant.kernel.layout import LENGTH
 from plant.parameters import ParameterSet
@@ -25,28 +26,17 @@ from sil.inference.campaign.next_experiment import NextExperiment, next_experime
 from sil.inference.campaign.observations import StrokeObservation
 from sil.inference.campaign.residuals import Gain, gain_between
 from sil.inference.campaign.split import odd_ones_in, split
-from sil.inference.campaign.structure import Structure, structure_of
-from sil.inference.campaign.terms import try_terms
+from sil.inference.campaign.terms import term_candidate
 from sil.inference.candidate import Candidate, candidates
 from sil.inference.evidence import Misfit, misfit
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.refused import Refusals
-from sil.inference.report import Cause, diagnosis_json
-from sil.inference.screening import Screening
+from sil.inference.report import Cause, diagnosis_json, headline
+from sil.inference.screening import Detectable, detectable
 from sil.inference.search import Search
 from sil.inference.spread import Spread
 from sil.inference.thresholds import LIMITS
-from sil.inference.verdict import (
-    Conclusion,
-    Held,
-    Judged,
-    Verdict,
-    acceptable,
-    decide,
-    judge,
-    kind_of,
-    weigh,
-)
+from sil.inference.verdict import Conclusion, Judged, Verdict, judge, kind_of
 from sil.inference.workers import spread_out
 
 FALSE_ALARM_BASIS = (
@@ -54,10 +44,6 @@ FALSE_ALARM_BASIS = (
     "often clean campaigns of an independent implementation pass that is measured by "
     "python -m tests.bench hidden_effects"
 )
-
-Noticed = dict[str, dict[str, Any]]
-"""By cause: parameter, the smallest value noticed, neutral value, unit, size in typical sizes, form of the
-cause, values of its other parameters."""
 
 
 @dataclass
@@ -70,15 +56,21 @@ class Diagnosis:
     gain: Gain
     extended: str | None
     next_experiment: NextExperiment | None
-    structure: Structure
     findings: list[Finding]
     model: CampaignModel
     held_out: tuple[int, ...]
     judged: list[Judged]
     final: FitResult
     healthy: FitResult
-    noticed: Noticed
+    detectable: list[Detectable]
+    unable: str
     refusals: Refusals
+
+    @property
+    def headline(self) -> str:
+        """The one sentence that a reader needs first."""
+        easiest = sorted(self.detectable, key=lambda item: item.typical_sizes)[:3]
+        return headline(self.verdict.kind, self.causes, list(map(str, easiest)), self.unable)
 
     def as_json(self) -> dict[str, Any]:
         """Return the object written to diagnosis.json."""
@@ -88,12 +80,12 @@ class Diagnosis:
             self.causes,
             self.findings,
             FALSE_ALARM_BASIS,
+            headline=self.headline,
             rivals=[list(group) for group in self.verdict.rivals],
             next_experiment=self.next_experiment and self.next_experiment.as_json(),
             gain=self.gain.as_json(),
             extended_model=None if self.extended is None else "extended_model.toml",
-            detectability=self.structure.sentence(),
-            smallest_noticed=self.noticed,
+            detectable=[item.as_json() for item in self.detectable],
         )
 
     def _repr_html_(self) -> str:
@@ -123,27 +115,16 @@ def diagnose(
     strokes, findings = observed(campaign, parameters)
     progress(0.0, 100.0)  # not before a bad campaign is refused: that is one line
     model = CampaignModel(strokes, Spread.of(parameters))
-    structure = structure_of(strokes)
     training, held_out = _assigned(model)
-    search = Search(model, available(strokes), training, workers, progress)
+    causes_tried, terms = available(strokes), list(map(term_candidate, FORMS))
+    search = Search(model, causes_tried, training, held_out, terms, workers, progress)
     try:
-        search.run()
+        verdict = search.run()
     except IntegrationError as error:
         raise InputError(
             f"{campaign.folder}: the nominal model cannot follow this campaign: {error}"
         ) from None
-    search.stages.until(85.0)
-    held: Held = {}
-    judged = _judged(search, held_out, workers, held)
-    verdict = decide(judged, len(strokes))
-    search.stages.until(95.0)
-    leader = verdict.leader
-    more = bool(verdict.claimed) and search.try_alike(leader.training, min(verdict.gains.values()))
-    if verdict.claimed and leader.whole.beyond > 0.0:  # the held-out strokes may show it alone
-        more = search.try_variants(leader.training) or more
-    if try_terms(search, verdict, judged) or more:
-        judged = _judged(search, held_out, workers, held)
-        verdict = decide(judged, len(strokes))
+    judged = search.judged
     # what follows counts in the processes that it runs in
     refusals = Refusals(search.fitter.refusals)
     wanted = [verdict.healthy, verdict.leader][: 2 if verdict.claimed else 1]
@@ -151,34 +132,43 @@ def diagnose(
         lambda j: _whole_fit(search.fitter, wanted[j]).light(), range(len(wanted)), workers
     )
     (final,) = claimed or [healthy]
-    gain = gain_between(model, verdict, held_out)
     causes = causes_of(search.fitter, verdict, judged, final, workers)
-    extended = extended_model(parameters, final, causes, campaign) if verdict.claimed else None
     findings += check_strokes(model, final) + left_out(refusals, search, verdict, campaign.name)
-    noticed = smallest_noticed(search, len(strokes)) if not verdict.claimed else {}
-    unable = "" if verdict.claimed else _unable(verdict.healthy.whole, noticed, search)
+    sizes: list[Detectable] = []
+    unable = ""
+    if not verdict.claimed:
+        share = len(training) / len(strokes)
+        gain = LIMITS.needed_gain(len(strokes)) * share
+        sizes = detectable(search.fitter, search.healthy, search.scores, gain)
+        unable = _unable(verdict.healthy.whole, sizes, search)
     if unable:
         verdict = replace(verdict, kind=kind_of(Conclusion({}, undecidable=unable)))
         findings.insert(0, Finding(campaign.name, "all", unable))
-    causes_asked = _one_form_each(search.candidates) if plan or unable else []
     following = next_experiment(
-        model, parameters, campaign, verdict, judged, causes_asked, confirm=plan, workers=workers
+        model,
+        parameters,
+        campaign,
+        verdict,
+        judged,
+        _one_form_each(search.candidates) if plan or unable else [],
+        confirm=plan,
+        workers=workers,
     )
     return Diagnosis(
         campaign,
         verdict,
         causes,
-        gain,
-        extended,
+        gain_between(model, verdict, held_out),
+        extended_model(parameters, final, causes, campaign) if verdict.claimed else None,
         following,
-        structure,
         findings,
         model,
         held_out,
         judged,
         final,
         healthy,
-        noticed,
+        sizes,
+        unable,
         refusals,
     )
 
@@ -207,7 +197,7 @@ def left_out(
     return findings
 
 
-def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
+def _unable(whole: Misfit, sizes: Sequence[Detectable], search: Search) -> str:
     """Return why nothing can be concluded from a campaign in which no cause is claimed, or nothing."""
     if whole.rms > LIMITS.max_residual_ratio and whole.beyond > 0.0:
         name = max(whole.channels, key=lambda name: whole.channels[name].rms)
@@ -216,44 +206,13 @@ def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
             f"({whole.channels[name].rms:.3g}), and no explanation removes half of that"
         )
     causes = {item.id for item in search.candidates}
-    sized = {name for name in noticed if float(noticed[name]["size"]) < 1.0}
-    if search.scores and len(sized) < LIMITS.min_noticeable_share * len(causes):
+    shown = [item for item in sizes if item.typical_sizes < 1.0]
+    if search.scores and len(shown) < LIMITS.min_noticeable_share * len(causes):
         return (
-            f"{len(sized)} of {len(causes)} causes would be noticed at their typical size: more "
+            f"{len(shown)} of {len(causes)} causes would be noticed at their typical size: more "
             "strokes, gauges, a higher sampling rate or less noise would help"
         )
     return ""
-
-
-def smallest_noticed(search: Search, strokes: int) -> Noticed:
-    """Return the smallest size of each cause that would have been claimed, by linear scores there.
-
-    In the form of the cause in which that is least, with the values of its other parameters that are
-    stated. One that is missing would not have been noticed within its physical bounds.
-    """
-    least = LIMITS.needed_gain(strokes) * len(search.training) / strokes
-    found: Noticed = {}
-    if not search.scores:
-        return found
-    screening = Screening(search.fitter, search.healthy)
-    for score in search.scores:
-        main, *more = score.candidate.parameters
-        value, others = screening.smallest(score, least), [p.name for p in more]
-        if value is None:
-            continue
-        size = abs(value - main.neutral) / main.typical
-        old = found.get(score.candidate.id)
-        if old is None or size < float(old["size"]):
-            found[score.candidate.id] = {
-                "parameter": main.name,
-                "value": value,
-                "neutral": main.neutral,
-                "unit": main.unit,
-                "size": size,
-                "form": score.candidate.variant,
-                "others": dict(zip(others, score.start[1:], strict=True)),
-            }
-    return found
 
 
 def _one_form_each(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -287,16 +246,6 @@ def available(strokes: Sequence[StrokeObservation]) -> list[Candidate]:
         "length stroke": any(stroke.conditions.system == LENGTH for stroke in strokes),
     }
     return candidates({need for need, present in has.items() if present})
-
-
-def _judged(search: Search, held_out: tuple[int, ...], workers: int, held: Held) -> list[Judged]:
-    """Held-out judgement of the healthy fit and of the best acceptable ones."""
-    ones, twos, threes = (search.fits.of_size(count) for count in (1, 2, 3))
-    chosen = [search.healthy, *ones[:8], *twos[:8], *threes[:2]]
-    judged = judge(search.fitter, chosen, held_out, workers, held)
-    accepted = [item for item in judged if acceptable(item)]
-    weigh(accepted)
-    return accepted
 
 
 def _whole_fit(fitter: Fitter, item: Judged) -> FitResult:

@@ -29,7 +29,6 @@ from sil.inference.campaign.figures import (
 from sil.inference.campaign.next_experiment import next_campaign
 from sil.inference.campaign.one_equation import Alone, alone
 from sil.inference.campaign.residuals import Shown, show
-from sil.inference.campaign.structure import FAULTS
 from sil.inference.campaign.terms import form_of
 from sil.inference.refused import Tried
 from sil.inference.report import FALSE_ALARM_LEVEL, Cause
@@ -138,7 +137,6 @@ def write_report(
         before=before,
         after=after,
         changed=loop,
-        faults=FAULTS,
         in_unit=_in_unit,
         false_alarm=f"False alarms, level aimed at: {FALSE_ALARM_LEVEL:.0%}; {FALSE_ALARM_BASIS}",
     )
