@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from plant.batch.lane_control import Result
 from plant.batch.lane_steps import WIDTH
-from plant.batch.lanes import MOVING, Batch, Room, find_covered, room_for_results, run_lanes
+from plant.batch.lanes import MOVING_STATES, Batch, Room, find_covered, room_for_results, run_lanes
 from plant.batch.singles import run_singles
 from plant.effects.setup import Setup
 from plant.integrator.filling_curves import NO_CURVES, filling_curves
@@ -162,7 +162,7 @@ def fill_still(out: Floats, strokes: Strokes, columns: Iterable[int], covered: B
     In their SI units.
     """
     for place, column in enumerate(columns):
-        if column >= MOVING[strokes.system]:
+        if column >= MOVING_STATES[strokes.system]:
             still = np.broadcast_to(strokes.initial[:, column, None], out.shape[:2])
             out[covered, :, place] = still[covered]
 
@@ -238,7 +238,7 @@ def simulate_batch(
     n, states = len(strokes), strokes.initial.shape[1]
     batch = _arrays(strokes, sample_s, columns)
     instants, wanted = batch.samples, batch.columns
-    found = room_for_results(n, states, instants.shape[1], len(wanted), event_room)
+    outcome = room_for_results(n, states, instants.shape[1], len(wanted), event_room)
     covered = strokes.in_lanes if lanes else np.zeros(n, dtype=np.bool_)
     curves = filling_curves(batch.flow)
 
@@ -246,10 +246,10 @@ def simulate_batch(
         room = Room.of(1, 1)
         inside, outside = order[covered[order]], order[~covered[order]]
         if len(inside):
-            run_lanes(batch, found, room, curves, inside, tolerance, strokes.system, False)
+            run_lanes(batch, outcome, room, curves, inside, tolerance, strokes.system, False)
         if len(outside):
             table = curves if lanes else NO_CURVES
-            run_singles(batch, found, room, table, outside, tolerance, strokes.system, False)
+            run_singles(batch, outcome, room, table, outside, tolerance, strokes.system, False)
 
     everything = np.arange(n)
     if workers <= 1 or n < 2 * WIDTH:
@@ -257,16 +257,16 @@ def simulate_batch(
     else:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(run, np.array_split(everything, workers)))
-    fill_still(found.out, strokes, wanted, covered)
-    results = Result(found.results)
+    fill_still(outcome.out, strokes, wanted, covered)
+    results = Result(outcome.results)
     return BatchResult(
         status=results.status.astype(np.int64),
         arrival_s=results.arrival,
         impact_speed_m_s=results.speed,
         impact_energy_j=results.energy,
-        final=found.final,
-        samples=found.out,
-        events=found.events,
+        final=outcome.final,
+        samples=outcome.out,
+        events=outcome.events,
         event_count=results.events.astype(np.int64),
         steps=results.steps.astype(np.int64),
         in_lanes=covered,

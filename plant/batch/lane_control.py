@@ -24,6 +24,7 @@ from plant.integrator.loop import (
     AGAIN,
     DONE,
     LONGEST_STEP_S,
+    MAX_EVENTS,
     NOT_FINITE,
     OFF_GRID,
     STEP_AFTER_EVENT_S,
@@ -76,9 +77,6 @@ result_of = named(Result)
 IDLE = -1
 # What a lane takes of a stroke: no term is added there.
 COPIED, MODES = Parameters.fields["added_count"].start, Modes.size
-LIMIT_EVENTS = 4000
-LEAST_ROOT = 0.5623413251903491  # of a norm of 1e-4
-SMALL_NORM = 0.01  # square of the norm
 
 
 @inlined
@@ -125,7 +123,7 @@ def prepare(one, k, o, task, result, n):
         apply_switches(one, k, o, task)
         if one.time >= one.end:
             return DONE
-        if k.events > LIMIT_EVENTS:
+        if k.events > MAX_EVENTS:
             return TOO_MANY_EVENTS
         if all_guards(one.time, o.y, o, o.scratch.guards) < 0.0:
             handle_event(smallest(o.scratch.guards), one, k, o, task, result)
@@ -147,8 +145,8 @@ def prepare(one, k, o, task, result, n):
 def grown(one, h, norm, factor):
     """Step that the error control wants after one that was taken; a small error lets it grow freely."""
     root = one.root
-    factor *= one.before if norm > SMALL_NORM else 1.0 / max(root, 0.1)
-    one.before = max(root, LEAST_ROOT)
+    factor *= one.before if norm > 0.01 else 1.0 / max(root, 0.1)
+    one.before = max(root, 0.5623413251903491)  # root of a norm of 1e-4
     return h * min(factor, 5.0)
 
 

@@ -84,7 +84,7 @@ class Lane(Record):
     norm: Value  # square of the error norm
     factor: Value
     root: Value  # sixteenth root of the norm
-    before: Value  # the same of the last step taken, at least LEAST_ROOT
+    before: Value  # the same of the last step taken, bounded below
     lowest: Value  # guard at the end of the step
     flow: Value = block(FlowMap.size)
     parameters: Value = block(Parameters.fields["added_count"].start)  # no term is added here

@@ -32,7 +32,7 @@ from plant.batch.lane_steps import (
     lane_of,
     step_of_lanes,
 )
-from plant.integrator.filling import FOLLOW_GRID, KNOWN, OWN_STEPS, WRITE_GRID
+from plant.integrator.filling import FOLLOW_GRID, OWN_STEPS, STORED_ROW, WRITE_GRID
 from plant.integrator.loop import DONE, STEPPING, Task
 from plant.integrator.workspace import Scratch, scratch_of
 from plant.kernel.compiled import called, inlined, kernel
@@ -49,12 +49,10 @@ from plant.kernel.layout import (
 from plant.kernel.views import view
 
 ALPHA_V0, FLOW_SIZE = Parameters.fields["alpha_v0"].start, FlowMap.size
-COUNTERS = Memory.size
 NOT_IN_LANES = tuple(Parameters.fields[name].start for name in FREE_OF)
 MODES_NOT_IN_LANES = tuple(Modes.fields[name].start for name in MODES_FREE_OF)
-FLAT = Lane.size * WIDTH
-MOVING = (FixedState.p_2 + 1, LengthState.p_f + 1)
-"""How many leading states of either system move in a lane."""
+COUNTERS, FLAT = Memory.size, Lane.size * WIDTH
+MOVING_STATES = (FixedState.p_2 + 1, LengthState.p_f + 1)
 
 
 class Batch(NamedTuple):
@@ -77,7 +75,7 @@ class Batch(NamedTuple):
     scale: Any
 
 
-class Found(NamedTuple):
+class Outcome(NamedTuple):
     """Arrays that a batch writes.
 
     results [strokes, Result.size]; final [strokes, states]; out [strokes, s, columns];
@@ -93,14 +91,14 @@ class Found(NamedTuple):
 class Room(NamedTuple):
     """Memory of a batch's kernel.
 
-    flat [FLAT + Scratch.size]; counters int64 [Memory.size * WIDTH]; grid [steps, GridRow.size]; known
-    [s, KNOWN], stored of the grid's samples at rest.
+    flat [FLAT + Scratch.size]; counters int64 [Memory.size * WIDTH]; grid [steps, GridRow.size]; stored
+    [s, STORED_ROW] of the grid's samples at rest.
     """
 
     flat: Any
     counters: Any
     grid: Any
-    known: Any
+    stored: Any
 
     @classmethod
     def of(cls, samples: int, steps: int) -> Room:
@@ -109,13 +107,13 @@ class Room(NamedTuple):
             np.zeros(FLAT + Scratch.size),
             np.zeros(Memory.size * WIDTH, dtype=np.int64),
             np.zeros((steps, GridRow.size)),
-            np.zeros((samples, KNOWN)),
+            np.zeros((samples, STORED_ROW)),
         )
 
 
-def room_for_results(strokes: int, states: int, samples: int, columns: int, events: int) -> Found:
+def room_for_results(strokes: int, states: int, samples: int, columns: int, events: int) -> Outcome:
     """Return the arrays that a batch of so many strokes writes."""
-    return Found(
+    return Outcome(
         np.zeros((strokes, Result.size)),
         np.zeros((strokes, states)),
         np.zeros((strokes, samples, columns)),
@@ -130,15 +128,15 @@ def row_of(array, stroke):
 
 
 @inlined
-def task_of(stroke, batch, found, room, table, use, steps):
+def task_of(stroke, batch, outcome, room, table, use, steps):
     """Return the task of one stroke of a batch."""
     return Task(
         row_of(batch.switches, stroke), batch.switches.shape[1],
         row_of(batch.samples, stroke), batch.samples.shape[1],
-        view(batch.columns, 0), batch.columns.shape[0], row_of(found.out, stroke),
-        row_of(found.events, stroke), found.events.shape[1],
+        view(batch.columns, 0), batch.columns.shape[0], row_of(outcome.out, stroke),
+        row_of(outcome.events, stroke), outcome.events.shape[1],
         view(table, 0), table.shape[0] > 1,
-        view(room.grid, 0), steps, use, view(room.known, 0), True,
+        view(room.grid, 0), steps, use, view(room.stored, 0), True,
     )  # fmt: skip
 
 
@@ -171,28 +169,28 @@ def put_at_start(r, modes, stroke, batch, n):
 
 
 @called
-def finish(one, k, stroke, status, batch, found, n):
+def finish(one, k, stroke, status, batch, outcome, n):
     """Write what became of a stroke."""
-    result = result_of(row_of(found.results, stroke))
+    result = result_of(row_of(outcome.results, stroke))
     result.status = status
     result.events = k.events
     result.steps = k.steps
     initial = row_of(batch.initial, stroke)
-    for i in range(found.final.shape[1]):
-        found.final[stroke, i] = one.y[i] if i < n else initial[i]
+    for i in range(outcome.final.shape[1]):
+        outcome.final[stroke, i] = one.y[i] if i < n else initial[i]
     for i in range(k.next_sample, batch.samples.shape[1]):
         for c in range(batch.columns.shape[0]):
-            found.out[stroke, i, c] = found.final[stroke, batch.columns[c]]
+            outcome.out[stroke, i, c] = outcome.final[stroke, batch.columns[c]]
 
 
 @called
-def run_order(batch, found, room, table, order, tolerance, system, pace):
+def run_order(batch, outcome, room, table, order, tolerance, system, pace):
     """Simulate the strokes `order` of a batch, in lanes; arguments as of `run_lanes`.
 
     pace: OWN_STEPS, WRITE_GRID or FOLLOW_GRID, and how many steps the grid holds.
     """
     use, steps = pace
-    n = MOVING[system]
+    n = MOVING_STATES[system]
     # WIDTH; as a variable it keeps the compiler from unrolling the lanes
     width = room.counters.shape[0] // COUNTERS
     fixed = system == FIXED
@@ -220,13 +218,13 @@ def run_order(batch, found, room, table, order, tolerance, system, pace):
             o = motion_of(one, scratch)
             status = DONE
             if not starting:
-                result = result_of(row_of(found.results, k.stroke))
-                task = task_of(k.stroke, batch, found, room, table, use, steps)
+                result = result_of(row_of(outcome.results, k.stroke))
+                task = task_of(k.stroke, batch, outcome, room, table, use, steps)
                 status = judge(one, k, o, task, result, n)
             while status != STEPPING:
                 ended = k.stroke != IDLE and (status != DONE or one.time >= one.end)
                 if ended:
-                    finish(one, k, k.stroke, status, batch, found, n)
+                    finish(one, k, k.stroke, status, batch, outcome, n)
                     active -= 1
                     k.stroke = IDLE
                 if k.stroke == IDLE:
@@ -238,35 +236,35 @@ def run_order(batch, found, room, table, order, tolerance, system, pace):
                         break
                     stroke = order[upcoming]
                     fill_lane(one, stroke, batch, n, starting)
-                    begin(one, k, o, result_of(row_of(found.results, stroke)))
+                    begin(one, k, o, result_of(row_of(outcome.results, stroke)))
                     k.stroke = stroke
                     upcoming += 1
                     active += 1
-                result = result_of(row_of(found.results, k.stroke))
-                task = task_of(k.stroke, batch, found, room, table, use, steps)
+                result = result_of(row_of(outcome.results, k.stroke))
+                task = task_of(k.stroke, batch, outcome, room, table, use, steps)
                 status = prepare(one, k, o, task, result, n)
         starting = False
 
 
 @kernel
-def run_lanes(batch, found, room, table, order, tolerance, system, follow):
+def run_lanes(batch, outcome, room, table, order, tolerance, system, follow):
     """Simulate the strokes `order` of a batch, in lanes.
 
     Parameters
     ----------
-    batch, found, room : `Batch`, `Found`, `Room`
+    batch, outcome, room : `Batch`, `Outcome`, `Room`
     table : filling curves of the only flow map, to pass rests in closed form; shorter if there are none
     order : int64, numbers of the strokes to simulate
     system : FIXED or LENGTH
     follow : True if the first stroke writes the grid and the others take its steps
     """
     if not follow:
-        run_order(batch, found, room, table, order, tolerance, system, (OWN_STEPS, 1))
+        run_order(batch, outcome, room, table, order, tolerance, system, (OWN_STEPS, 1))
         return
     longest = room.grid.shape[0]
-    run_order(batch, found, room, table, order[:1], tolerance, system, (WRITE_GRID, longest))
-    steps = min(int(result_of(row_of(found.results, order[0])).steps), longest)
-    run_order(batch, found, room, table, order[1:], tolerance, system, (FOLLOW_GRID, steps))
+    run_order(batch, outcome, room, table, order[:1], tolerance, system, (WRITE_GRID, longest))
+    steps = min(int(result_of(row_of(outcome.results, order[0])).steps), longest)
+    run_order(batch, outcome, room, table, order[1:], tolerance, system, (FOLLOW_GRID, steps))
 
 
 @kernel

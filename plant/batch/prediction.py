@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.batch.batch import BATCH_TOLERANCE, Drive, Strokes, drive_of
-from plant.batch.singles import MOST_EVENTS
+from plant.batch.singles import EVENT_ROOM
 from plant.batch.tangents import Followers, to_quotients
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
@@ -26,13 +26,6 @@ from plant.integrator.workspace import Control, Run
 from plant.kernel.layout import EventRow, Modes, pressure_slice
 from plant.kernel.packing import FIRST_STEP_S, Floats, Ints, active_states, scales
 from plant.systems.stroke import gauged
-
-FIT_TOLERANCE = 1e-7
-EVENTS: int = Control.events
-
-
-MOST_READY = 256
-"""Kinds of strokes that a `Predictor` keeps ready."""
 
 
 class _Ready(NamedTuple):
@@ -75,12 +68,12 @@ class Predictor:
     sample_ns: instants, ascending; the last one ends the simulation.
     """
 
-    def __init__(self, sample_ns: NDArray[np.int64], tolerance: float = FIT_TOLERANCE) -> None:
+    def __init__(self, sample_ns: NDArray[np.int64], tolerance: float = 1e-7) -> None:
         self.sample_ns = sample_ns
         self.tolerance = tolerance
         self._sample_s = sample_ns / NS
         self._run, self._control = np.zeros(Run.size), np.zeros(Control.size, dtype=np.int64)
-        self._events = np.zeros((MOST_EVENTS, EventRow.size))
+        self._events = np.zeros((EVENT_ROOM, EventRow.size))
         self._happened = 0
         self._ready: dict[tuple[object, ...], _Ready] = {}
         self._followers: Followers | None = None
@@ -95,7 +88,7 @@ class Predictor:
         key = (id(setup.conditions), setup.timing, setup.creep_s, setup.has_line, setup.spool)
         ready = self._ready.get(key)
         if ready is None or ready.conditions is not setup.conditions:
-            if len(self._ready) == MOST_READY:
+            if len(self._ready) == 256:  # kinds of strokes
                 self._ready.clear()
             ready = _Ready.of(setup, int(self.sample_ns[-1]), self.tolerance)
             self._ready[key] = ready
@@ -117,7 +110,7 @@ class Predictor:
             run, control, setup.p.array, setup.c, ready.moves, self._sample_s, out, self._events,
             filling_curves(setup.c), NO_GRID,
         )  # fmt: skip
-        self._happened = int(control[EVENTS])
+        self._happened = int(control[Control.events])
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
         if not setup.exact_gauges:
@@ -158,8 +151,8 @@ class Predictor:
         if not all(one.exact_gauges for one in setups):
             measured = range(*pressure_slice(strokes.system).indices(strokes.initial.shape[1]))
             pressures = [place for place, column in enumerate(wanted) if column in measured]
-            for one, own in zip(setups, samples, strict=True):
-                own[:, pressures] = gauged(one, self._sample_s, own[:, pressures])
+            for one, states in zip(setups, samples, strict=True):
+                states[:, pressures] = gauged(one, self._sample_s, states[:, pressures])
         to_quotients(samples.reshape(len(setups), -1), np.array(steps, dtype=np.float64))
         base, *rates = samples
         same = alike[1:].tolist()

@@ -18,7 +18,7 @@ from plant.kernel.packing import FIRST_STEP_S, active_states
 from plant.kernel.views import view
 
 RUN, CONTROL, EVENT_COLUMNS = Run.size, Control.size, EventRow.size
-MOST_EVENTS = 512
+EVENT_ROOM = 512
 active = called(active_states)
 
 
@@ -37,33 +37,33 @@ def begin_single(run, control, stroke, batch, tolerance, system):
 
 
 @called
-def finish_single(run, control, stroke, status, batch, found, record, sampled):
+def finish_single(run, control, stroke, status, batch, outcome, record, sampled):
     """Write what became of a stroke."""
     k = control_of(control)
-    result = result_of(found.results[stroke])
+    result = result_of(outcome.results[stroke])
     result.status = status
     result.arrival = np.nan
     result.speed = np.nan
     result.energy = np.nan
     result.events = k.events
     result.steps = k.steps
-    for e in range(min(k.events, MOST_EVENTS)):
-        if e < found.events.shape[1]:
-            found.events[stroke, e] = record[e]
+    for e in range(min(k.events, len(record))):
+        if e < outcome.events.shape[1]:
+            outcome.events[stroke, e] = record[e]
         row = event_row(record[e])
         store_arrival(row.time, row, result)
     y = run_of(run).y
-    for i in range(found.final.shape[1]):
-        found.final[stroke, i] = y[i]
+    for i in range(outcome.final.shape[1]):
+        outcome.final[stroke, i] = y[i]
     for i in range(sampled.shape[0]):
         for c in range(len(batch.columns)):
             column = batch.columns[c]
             moves = column < k.states
-            found.out[stroke, i, c] = sampled[i, column] if moves else y[column]
+            outcome.out[stroke, i, c] = sampled[i, column] if moves else y[column]
 
 
 @called
-def run_single(stroke, batch, found, room, table, run, control, record):
+def run_single(stroke, batch, outcome, room, table, run, control, record):
     """Simulate one stroke; `control` holds how it takes its steps."""
     k = control_of(control)
     switches = batch.switches[min(stroke, batch.switches.shape[0] - 1)]
@@ -77,15 +77,15 @@ def run_single(stroke, batch, found, room, table, run, control, record):
         run, control, batch.packed[stroke], flow, switches[:count], samples, sampled, record, table,
         room.grid,
     )  # fmt: skip
-    finish_single(run, control, stroke, status, batch, found, record, sampled)
+    finish_single(run, control, stroke, status, batch, outcome, record, sampled)
 
 
 @kernel
-def run_singles(batch, found, room, table, order, tolerance, system, follow):
+def run_singles(batch, outcome, room, table, order, tolerance, system, follow):
     """Simulate the strokes `order` of a batch by the scalar kernel; arguments as of `run_lanes`."""
     run = np.zeros(RUN)
     control = np.zeros(CONTROL, dtype=np.int64)
-    record = np.zeros((MOST_EVENTS, EVENT_COLUMNS))
+    record = np.zeros((EVENT_ROOM, EVENT_COLUMNS))
     steps = room.grid.shape[0]
     for number in range(len(order)):
         begin_single(run, control, order[number], batch, tolerance, system)
@@ -94,6 +94,6 @@ def run_singles(batch, found, room, table, order, tolerance, system, follow):
         if follow:
             k.use = WRITE_GRID if number == 0 else FOLLOW_GRID
         k.grid_steps = steps
-        run_single(order[number], batch, found, room, table, run, control, record)
+        run_single(order[number], batch, outcome, room, table, run, control, record)
         if follow and number == 0:
             steps = min(k.steps, steps)

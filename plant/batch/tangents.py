@@ -27,8 +27,6 @@ from plant.kernel.packing import Floats, scales
 MOVE = 1e-6
 """A share of a parameter's size by which a neighbour is moved: truncation and rounding stay small."""
 
-LONGEST_GRID = 4096
-
 
 class Followers:
     """A stroke and others next to it along its own steps, again and again at the same instants.
@@ -38,7 +36,7 @@ class Followers:
 
     def __init__(self, sample_s: Floats) -> None:
         self._instants = np.ascontiguousarray(sample_s)[None]
-        self._room = Room.of(len(sample_s), LONGEST_GRID)
+        self._room = Room.of(len(sample_s), steps=4096)
 
     def run(
         self, strokes: Strokes, columns: Sequence[int], tolerance: float
@@ -53,17 +51,17 @@ class Followers:
         covered = strokes.in_lanes
         wanted = np.array(columns, dtype=np.int64)
         batch = Batch._make((*strokes.arrays, self._instants, wanted, scales(strokes.system)))
-        found = room_for_results(n, states, self._instants.shape[1], len(wanted), 0)
+        outcome = room_for_results(n, states, self._instants.shape[1], len(wanted), 0)
         run = run_lanes if covered[0] else run_singles
         run(
-            batch, found, self._room, filling_curves(strokes.flow), np.arange(n), tolerance,
+            batch, outcome, self._room, filling_curves(strokes.flow), np.arange(n), tolerance,
             strokes.system, True,
         )  # fmt: skip
         if covered[0]:
-            fill_still(found.out, strokes, columns, covered)
-        same = found.results[:, : Result.arrival]  # status, events and steps
+            fill_still(outcome.out, strokes, columns, covered)
+        same = outcome.results[:, : Result.arrival]  # status, events and steps
         alike = (same == same[0]).all(axis=1) & (covered == covered[0])
-        return int(same[0, 0]), found.out, alike
+        return int(same[0, 0]), outcome.out, alike
 
 
 @kernel

@@ -11,8 +11,8 @@ from plant.equations.length_contacts import (
     EPS_M,
     EPS_M_S,
     EPS_N,
-    FAR,
     TOUCH_M,
+    UNREACHED,
     damper_guards,
     note_corners,
     put,
@@ -34,7 +34,7 @@ from plant.parts.damper import oil_rate
 from plant.parts.friction import seal_drag, stay_sliding, stay_static
 from plant.parts.loads import loaded, store_loads
 
-STATES = FixedState.size
+FIXED_STATES = FixedState.size
 
 
 @inlined
@@ -88,7 +88,7 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         left = line_feed(y.p_line, p) - openings(u_1, p)[0] * one[1] - openings(u_2, p)[0] * two[1]
         dy.p_line = p.r_air / p.line_volume * left
     if quadratures:
-        q = quadratures_of(dy[STATES:])
+        q = quadratures_of(dy[FIXED_STATES:])
         for j in range(3):
             q.gas[j] = q.heat[j] = q.work[j] = q.mass_in[j] = q.mass_out[j] = 0.0
         store_chamber(q, 0, one, y.p_1, u_1, dv_1, p)
@@ -101,7 +101,7 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
 @called
 def fixed_guards(t, y, m, p, g):
     """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.  Returns the lowest."""
-    low = FAR
+    low = UNREACHED
     for k in range(GUARDS):
         g[k] = low
     high = p.stroke + p.stop_offset
@@ -114,7 +114,7 @@ def fixed_guards(t, y, m, p, g):
             low = put(g, Guard.STOP_LOW, y.x + EPS_M, low)
     else:
         drive = fixed_drive(y, m, p, t)
-        hold = FAR
+        hold = UNREACHED
         if y.x < high - TOUCH_M:
             hold = stay_static(y.x, 1.0, p) + seal_drag(y.p_1 - y.p_2, p) - drive
         if y.x > TOUCH_M:

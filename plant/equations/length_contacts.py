@@ -29,12 +29,12 @@ EPS_N = 1e-7
 EPS_PA = 1e-7
 EPS_M2 = 1e-18
 EPS_CD = 1e-12
-FAR = 1.0e30
+UNREACHED = 1.0e30
 
 
 @inlined
 def end_stop(p):
-    """Farthest stay position [m]: its own stop, or the collar of the piston that cannot give way."""
+    """Farthest stay position [m]: its stay_cap stop, or the collar of the piston that cannot give way."""
     return min(p.stroke + p.stop_offset, p.x_free)
 
 
@@ -95,16 +95,16 @@ def in_the_way(d, k, y, m, p):
 def leaving_margin(d, k, y, m, p, force, caps):
     """Margin before the stay, with the other piston, leaves its contact with piston k [N].
 
-    caps: static friction of stay, piston 1, piston 2 in direction d; FAR if it cannot leave.
+    caps: static friction of stay, piston 1, piston 2 in direction d; UNREACHED if it cannot leave.
     """
     contact = m[JOINED + k]
     if contact == FREE or d != -sign_ahead(k, contact):
-        return FAR
+        return UNREACHED
     away = d * force[0]
     cap = caps[0]
     if m[JOINED + 1 - k] != FREE:
         if piston_holds(d, 1 - k, y):
-            return FAR
+            return UNREACHED
         away += d * (force[2] if k == 0 else force[1])
         cap += caps[2] if k == 0 else caps[1]
     return cap - away + bond(contact, y, p)
@@ -117,13 +117,13 @@ def stay_margin(d, y, m, p, force, static1, static2):
     static1, static2: static friction of the pistons that way.
     """
     high, low = stay_limits(y, m, p)
-    own = stay_static(y.x_s, d, p)
+    stay_cap = stay_static(y.x_s, d, p)
     if (d > 0 and y.x_s >= high - TOUCH_M) or (d < 0 and y.x_s <= low + TOUCH_M):
-        return FAR
+        return UNREACHED
     # the stay with everything joined to it, or only touching it at rest and in the way
     blocked = False
     total = d * force[0]
-    cap = own
+    cap = stay_cap
     if m.joined_1 != FREE or in_the_way(d, 0, y, m, p):
         blocked = piston_holds(d, 0, y)
         total += d * force[1]
@@ -132,8 +132,8 @@ def stay_margin(d, y, m, p, force, static1, static2):
         blocked = blocked or piston_holds(d, 1, y)
         total += d * force[2]
         cap += static2
-    hold = FAR if blocked else cap - total
-    caps = (own, static1, static2)
+    hold = UNREACHED if blocked else cap - total
+    caps = (stay_cap, static1, static2)
     one = leaving_margin(d, 0, y, m, p, force, caps)
     return min(hold, one, leaving_margin(d, 1, y, m, p, force, caps))
 
@@ -142,7 +142,7 @@ def stay_margin(d, y, m, p, force, static1, static2):
 def piston_margin(d, k, contact, y, static, force):
     """Margin before piston k, at rest, moves in direction d (1, -1) [N]."""
     if (contact != FREE and d != sign_ahead(k, contact)) or piston_holds(d, k, y):
-        return FAR
+        return UNREACHED
     return static - d * force
 
 
@@ -153,7 +153,7 @@ def rest_margins(y, m, p, force):
     minus1 = piston_static(-1.0, across(y, 0), p)
     plus2 = piston_static(1.0, across(y, 1), p)
     minus2 = piston_static(-1.0, across(y, 1), p)
-    hold = FAR
+    hold = UNREACHED
     if m.stay == 0:
         hold = min(
             stay_margin(1, y, m, p, force, plus1, plus2),
@@ -167,7 +167,7 @@ def rest_margins(y, m, p, force):
 def piston_rest(y, m, p, k, plus, minus, force):
     """Margin before piston k leaves its rest [N]; plus, minus: its static friction both ways."""
     if m[STATUS + k] != 0:
-        return FAR
+        return UNREACHED
     contact = m[JOINED + k]
     pull = bond(contact, y, p)
     return min(
@@ -271,7 +271,7 @@ def guards(t, y, m, p, g):
 
     Shifted by a rounding-sized amount so that a guard just fired does not fire again.
     """
-    low = FAR
+    low = UNREACHED
     for k in range(GUARDS):
         g[k] = low
     force = net_forces(y, m, p, t)

@@ -19,8 +19,6 @@ from plant.equations.length_stroke import (
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FREE, NUT
 
-# A rebound slower than this is a stop: the end of a Zeno sequence.
-REST_M_S = 1e-4
 # Touching bodies that part slower than this, and would meet again, stay together: the end of a
 # Zeno sequence of contacts.
 SLOW_M_S = 1e-5
@@ -63,7 +61,8 @@ def join_velocity(y, p, k, slow):
 def rebound(v, p):
     """Velocity after a stop: -e v, or 0 when slower than a rebound that counts."""
     after = -p.restitution * v
-    return after if abs(after) > REST_M_S else 0.0
+    # a slower rebound is a stop: the end of a Zeno sequence
+    return after if abs(after) > 1e-4 else 0.0
 
 
 @inlined
@@ -125,25 +124,25 @@ def stop_piston(y, k, p, impact):
 def stop_stay(y, m, p, impact):
     """Stop the stay at an end, at the synchronizer or in neutral; True if it has met one of them."""
     high, low = stay_limits(y, m, p)
-    held = 0.0
+    obstacle = 0.0
     if y.x_s >= high - TOUCH_M and y.v_s > 0.0:
-        held = 1.0
+        obstacle = 1.0
         y.x_s = high
     elif y.x_s <= low + TOUCH_M and y.v_s < 0.0:
-        held = -1.0
+        obstacle = -1.0
         y.x_s = low
     # neutral: a piston at rest on its outer stop is as fixed as the housing
     elif y.v_s < 0.0 and gap(y, 1) <= TOUCH_M and y.x_2 <= TOUCH_M and y.v_2 <= 0.0:
-        held = -2.0
+        obstacle = -2.0
         y.x_s = 0.0
         y.x_2 = 0.0
     elif y.v_s > 0.0 and gap(y, 0) <= TOUCH_M and y.x_1 <= TOUCH_M and y.v_1 <= 0.0:
-        held = 2.0
+        obstacle = 2.0
         y.x_s = 0.0
         y.x_1 = 0.0
-    if held == 0.0:
+    if obstacle == 0.0:
         return False
-    at_block = abs(held) == 1.0 and abs(y.x_s) < end_stop(p) - TOUCH_M
+    at_block = abs(obstacle) == 1.0 and abs(y.x_s) < end_stop(p) - TOUCH_M
     after = 0.0 if at_block else rebound(y.v_s, p)
     impact.lost += 0.5 * p.m_s * (y.v_s * y.v_s - after * after)
     if abs(y.v_s) > impact.speed:

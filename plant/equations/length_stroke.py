@@ -40,7 +40,7 @@ from plant.parts.damper import oil_rate
 from plant.parts.friction import piston_sliding, stay_sliding
 from plant.parts.loads import loaded, store_loads
 
-STATES = LengthState.size
+LENGTH_STATES = LengthState.size
 # Where the pistons' states and modes begin.
 PISTONS, STATUS, JOINED = LengthState.x_1, Modes.piston_1, Modes.joined_1
 # Bodies nearer than this touch.
@@ -214,7 +214,7 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
         drawn = u_b * in_b[1] + u_n * in_n[1] + u_f * in_f[1]
         dy.p_line = p.r_air / p.line_volume * (line_feed(y.p_line, p) - drawn)
     if quadratures:
-        q = quadratures_of(dy[STATES:])
+        q = quadratures_of(dy[LENGTH_STATES:])
         store_chamber(q, 0, in_b, y.p_b, u_b, rate_b, p)
         store_chamber(q, 1, in_n, y.p_n, u_n, rate_n, p)
         store_chamber(q, 2, in_f, y.p_f, u_f, rate_f, p)

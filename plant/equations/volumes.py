@@ -54,10 +54,10 @@ def emptied(
     states: arrays [states] in SI units.
     """
     listed = list(states)
-    held = [volumes_m3(system, p, y) for y in listed]
+    volumes_of_states = [volumes_m3(system, p, y) for y in listed]
     for k, chamber in enumerate(CHAMBER_NAMES[system]):
         given_m3 = float(getattr(p, VOLUMES[k]))
-        volume, worst = min((volumes[k], j) for j, volumes in enumerate(held))
+        volume, worst = min((volumes[k], j) for j, volumes in enumerate(volumes_of_states))
         if chamber in chambers and not volume > share * abs(given_m3):
             body = "piston" if system == FIXED else "stay"
             return (

@@ -15,10 +15,8 @@ from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED, FREE, GUARDS, Guard, fixed_state, impact_of, length_state
 
-# A velocity below this after an event is rounding, and ends a Zeno sequence of stops.
-ZERO_M_S = 1e-10
 # An event is located when it is no farther than this.
-NEXT_S = 1e-15
+LOCATED_S = 1e-15
 
 
 @called
@@ -177,10 +175,10 @@ def locate(t, h, high, dense, y, o, n_all):
             if below[k] < 0.0:
                 start = max(above[k], 0.0)
                 theta = min(theta, root_fraction(low, high, third, start, below[k], older[k]))
-        if (high - theta) * h < NEXT_S or width * h < NEXT_S:
+        if (high - theta) * h < LOCATED_S or width * h < LOCATED_S:
             break
         # just beyond the crossing, so that a good forecast is the last
-        theta = max(theta + 0.5 * NEXT_S / h, low + width * min(1e-3, 4.0 * width))
+        theta = max(theta + 0.5 * LOCATED_S / h, low + width * min(1e-3, 4.0 * width))
         if iteration % 3 == 2:
             if width > 0.1 * before:
                 theta = 0.5 * (low + high)
@@ -204,8 +202,8 @@ def locate(t, h, high, dense, y, o, n_all):
 
 @inlined
 def settled_speed(v):
-    """Return a velocity after an event: 0 below ZERO_M_S."""
-    return 0.0 if abs(v) < ZERO_M_S else v
+    """Return a velocity after an event: 0 where it is rounding, which ends a Zeno sequence of stops."""
+    return 0.0 if abs(v) < 1e-10 else v
 
 
 @called

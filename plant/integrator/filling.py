@@ -26,8 +26,6 @@ from plant.kernel.layout import fixed_state, length_state, pressures
 from plant.kernel.records import Record, Value
 from plant.kernel.views import named
 
-# Positions on a curve nearer than this share its tangent: an error of 1e-4 of their distance.
-NEXT_TO = 1e-4
 # A grid of steps is written by one stroke and followed by others.
 OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
 
@@ -53,17 +51,16 @@ class Stored(Record):
     slope: Value
 
 
-KNOWN_COLUMNS = Stored.size
-KNOWN = 3 * KNOWN_COLUMNS
+CHAMBER_COLUMNS, STORED_COLUMNS = ChamberCurve.size, Stored.size
+STORED_ROW = 3 * STORED_COLUMNS
 stored_of = named(Stored)
-CHAMBER_ROW = ChamberCurve.size
 chamber_row = named(ChamberCurve)
 
 
 @inlined
 def chamber_of(w, j):
     """How chamber j goes on, from the rows of all."""
-    return chamber_row(w[CHAMBER_ROW * j :])
+    return chamber_row(w[CHAMBER_COLUMNS * j :])
 
 
 @called
@@ -151,11 +148,11 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
 
 
 @called
-def neighbour_samples(row, t, c, known, begin, end, out, task):
+def neighbour_samples(row, t, c, rows, begin, end, out, task):
     """Pressures of a chamber at the samples from `begin` to `end` -> out, stored values reused.
 
     The stroke that writes the grid evaluates its curve and stores kind, position, value and slope in
-    known[i * KNOWN :]; the others, next to it, go along that slope.
+    rows[i * STORED_ROW :]; the others, next to it, go along that slope.
     """
     kind = row.kind
     decays = kind == DECAY
@@ -168,9 +165,10 @@ def neighbour_samples(row, t, c, known, begin, end, out, task):
     first = task.use == WRITE_GRID
     for i in range(begin, end):
         position = start + row.rate * max(task.samples[i] - t, 0.0)
-        stored = stored_of(known[i * KNOWN :])
+        stored = stored_of(rows[i * STORED_ROW :])
         apart = position - stored.position
-        if not first and stored.kind == kind and abs(apart) < NEXT_TO:
+        # so near, the tangent is wrong by 1e-4 of the distance
+        if not first and stored.kind == kind and abs(apart) < 1e-4:
             value = stored.value + apart * stored.slope
         else:
             value = exp(-position) if decays else curve_value(curve, position)

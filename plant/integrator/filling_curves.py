@@ -24,7 +24,6 @@ from plant.kernel.views import named, view
 from plant.parts.flow import charge, discharge
 
 CELLS_FAR, CELLS_NEAR = 256, 1536
-CUBIC = 4
 
 
 class Curve(Record):
@@ -40,17 +39,14 @@ class Curve(Record):
     cells_near: Value
     rate: Value
     spare: Value = block(3)
-    far: Value = block(CELLS_FAR, CUBIC)
-    near: Value = block(CELLS_NEAR, CUBIC)
+    far: Value = block(CELLS_FAR, 4)
+    near: Value = block(CELLS_NEAR, 4)
 
 
-CURVE = Curve.size
-TABLE = 2 * CURVE
+CURVE, TABLE = Curve.size, 2 * Curve.size
 curve_of = named(Curve)
 # Ratio P/P_atm at which the discharge curve starts, and how far the near regions reach.
-Z_TOP = 16.0
-NEAR_REACH = 20.0
-SUBSTEPS = 8
+Z_TOP, NEAR_REACH = 16.0, 20.0
 
 
 @inlined
@@ -72,7 +68,8 @@ def fill_cells(start, step, cells, charging, c, rate, out):
     Cubic Hermite: r = c0 + w (c1 + w (c2 + w c3)) at the fraction w of a cell.
     """
     r = start
-    h = step / SUBSTEPS
+    substeps = 8
+    h = step / substeps
     sign = 1.0 if charging else -1.0
     left = 0.0
     left_slope = 0.0
@@ -93,7 +90,7 @@ def fill_cells(start, step, cells, charging, c, rate, out):
         left_slope = slope
         if node == cells:
             break
-        for _ in range(SUBSTEPS):
+        for _ in range(substeps):
             k1 = slope_of(r, charging, c) / rate
             k2 = slope_of(r + 0.5 * h * k1, charging, c) / rate
             k3 = slope_of(r + 0.5 * h * k2, charging, c) / rate

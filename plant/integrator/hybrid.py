@@ -35,12 +35,6 @@ NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
 NO_GRID = np.zeros((1, GridRow.size))
 
-MOST_EVENTS = 2000
-"""Of one call of `advance`: stick-slip between closed chambers makes hundreds in a quarter second."""
-
-NOTHING_LEFT = 1e-2
-"""Share of a chamber's volume below which a motion that cannot go on is put down to it."""
-
 REASONS = {
     TOO_MANY_EVENTS: "too many events",
     STEP_TOO_SMALL: "the step became too small",
@@ -130,7 +124,8 @@ class HybridSystem:
         run.wanted = FIRST_STEP_S
         control.states = self._n
         control.quadratures = Quadratures.size
-        self._record = np.zeros((MOST_EVENTS, EventRow.size))
+        # stick-slip between closed chambers makes hundreds of events in a quarter second
+        self._record = np.zeros((2000, EventRow.size))
         self._impact_j = 0.0
         self.now_ns = 0
         self.events: list[Event] = []
@@ -211,7 +206,7 @@ class HybridSystem:
         if code != DONE:
             stopped_s = self.now_ns / NS + float(self._run.time)
             message = f"integration stopped after {stopped_s:.6f} s: {REASONS[code]}"
-            shut = emptied(self._system, self._p, [self._y], share=NOTHING_LEFT)
+            shut = emptied(self._system, self._p, [self._y], share=0.01)
             if shut:
                 raise NoVolumeError(f"{shut} ({message})")
             raise IntegrationError(message)

@@ -24,15 +24,14 @@ from plant.integrator.filling import FOLLOW_GRID
 from plant.integrator.loop import (
     AGAIN,
     DONE,
-    LONGEST_REST_STEP_S,
     LONGEST_STEP_S,
+    MAX_EVENTS,
     NOT_FINITE,
     OFF_GRID,
     STEP_AFTER_EVENT_S,
     STEP_AFTER_REST_S,
     STEP_TOO_SMALL,
     STEPPING,
-    SWITCH_STEP_S,
     TOO_MANY_EVENTS,
     Task,
     apply_switches,
@@ -66,8 +65,6 @@ from plant.kernel.layout import (
     parameters,
 )
 from plant.kernel.views import view
-
-LIMIT_EVENTS = 4000
 
 
 @called
@@ -170,7 +167,7 @@ def judge_step(r, k, o, norm, power, follow):
     grown = h * factor
     cut = h == r.next - r.time and h < r.wanted
     r.wanted = max(r.wanted, grown) if cut else grown
-    r.wanted = min(r.wanted, LONGEST_REST_STEP_S if at_rest(o.m) else LONGEST_STEP_S)
+    r.wanted = min(r.wanted, 0.01 if at_rest(o.m) else LONGEST_STEP_S)
     return STEPPING
 
 
@@ -232,7 +229,7 @@ def next_event(r, k, o, task, leaping):
     """
     if apply_switches(r, k, o, task):
         k.fresh = 1
-        r.wanted = min(r.wanted, SWITCH_STEP_S)
+        r.wanted = min(r.wanted, 1e-3)
     if r.time >= r.end:
         return DONE
     if k.fresh != 0:
@@ -287,7 +284,7 @@ def advance(run, control, p, c, switches, samples, out, events, curves, grid):
     r.time = 0.0
     k.next_switch = 0
     k.next_sample = 0
-    k.most_events = k.events + k.corners + LIMIT_EVENTS
+    k.most_events = k.events + k.corners + MAX_EVENTS
     k.fresh = 1
     status = STEPPING
     while status < 0:

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 from plant.integrator.events import all_guards, locate
 from plant.integrator.filling import (
     FOLLOW_GRID,
-    KNOWN_COLUMNS,
     OWN_STEPS,
     STILL,
+    STORED_COLUMNS,
     chamber_of,
     chamber_samples,
     neighbour_samples,
@@ -38,9 +38,8 @@ STEPPING, AGAIN = -1, -2
 
 GRID_COLUMNS, EVENT_COLUMNS = GridRow.size, EventRow.size
 
+MAX_EVENTS = 4000
 LONGEST_STEP_S = 5e-3
-LONGEST_REST_STEP_S = 1e-2
-SWITCH_STEP_S = 1e-3
 STEP_AFTER_EVENT_S = 2e-5
 STEP_AFTER_REST_S = 4e-4
 
@@ -50,7 +49,7 @@ class Task(NamedTuple):
 
     switches: rows (time, chamber, position, slope), times ascending; samples: instants wanted,
     ascending -> out, `columns` of the state each; events: room for so many; table: filling curves, if
-    tabulated; grid: steps written or followed (`use`); known: what the grid's stroke stored of each
+    tabulated; grid: steps written or followed (`use`); stored: what the grid's stroke stored of each
     sample at rest, for its neighbours.
     """
 
@@ -68,7 +67,7 @@ class Task(NamedTuple):
     grid: Any
     steps: Any
     use: Any
-    known: Any
+    stored: Any
     neighbours: Any
 
 
@@ -198,8 +197,8 @@ def sample_rest(r, k, o, y1, until, task):
         elif task.use == OWN_STEPS or not task.neighbours:
             chamber_samples(row, task.table, t, samples, begin, end, out, n_columns)
         else:
-            known = task.known[KNOWN_COLUMNS * chamber :]
-            neighbour_samples(row, t, o.c, known, begin, end, out, task)
+            stored = task.stored[STORED_COLUMNS * chamber :]
+            neighbour_samples(row, t, o.c, stored, begin, end, out, task)
 
 
 @called

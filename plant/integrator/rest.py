@@ -11,15 +11,8 @@ from plant.integrator.loop import AGAIN, NOT_FINITE, STEPPING, sample_rest
 from plant.kernel.compiled import called
 from plant.kernel.layout import FIXED, pressures
 
-# Within this time a crossing needs no proof that it is the first: the scalar kernel looks at its
-# guards no more often.
-NEAR_S = 2e-3
-LOCATED_S = 1e-14
-# Margin below zero at which a breakaway is taken [N]; it moves by far less than that in a time
-# of LOCATED_S.
-AIM = 1e-6
-ACCURACY = 1e-3
-HALVINGS = 40
+# Margin below zero at which a breakaway is taken; in 1e-14 s it moves by far less than that.
+BREAKAWAY_MARGIN_N = 1e-6
 
 
 @called
@@ -71,14 +64,15 @@ def rest_jump(t, span, y1, corner, o, table, n):
     for i in range(n):
         y1[i] = o.y[i]
         corner[i] = o.y[i]
-    for _ in range(HALVINGS):
+    for _ in range(40):
         pressures_after(span, fixed, w, table, y1)
         last = all_guards(t, y1, o, g)
         dt = span
         if last < 0.0:
             first = all_guards(t, o.y, o, g)
             dt = crossing(t, span, first, last, y1, o, table)
-        if dt <= NEAR_S or lowest_corner(t, fixed, y1, corner, o) >= 0.0:
+        # within 2 ms no proof that it is the first: the scalar kernel looks no more often
+        if dt <= 2e-3 or lowest_corner(t, fixed, y1, corner, o) >= 0.0:
             if last >= 0.0:
                 return dt, -1
             all_guards(t, y1, o, g)
@@ -111,19 +105,19 @@ def pass_rest(s, k, o, end, corner, task, n):
 def crossing(t, span, low_value, high_value, y1, o, table):
     """Time within `span` at which the lowest guard has just become negative; y1 is the state there.
 
-    Regula falsi with the Illinois weights, aimed at a margin of AIM below zero and met to a share of
-    ACCURACY of it (derivatives need it); bisection every fourth time.
+    Regula falsi with the Illinois weights, aimed at BREAKAWAY_MARGIN_N below zero and met to a
+    thousandth of it (derivatives need it); bisection every fourth time.
     """
     g = o.scratch.guards
     w = o.scratch.rest
     fixed = o.m.system == FIXED
     low = 0.0
     high = span
-    low_value = max(low_value, 0.0) + AIM
-    high_value += AIM
+    low_value = max(low_value, 0.0) + BREAKAWAY_MARGIN_N
+    high_value += BREAKAWAY_MARGIN_N
     side = 0
     for iteration in range(100):
-        if high_value > -ACCURACY * AIM or high - low < LOCATED_S:
+        if high_value > -1e-3 * BREAKAWAY_MARGIN_N or high - low < 1e-14:
             break
         dt = low + (high - low) * low_value / (low_value - high_value)
         if iteration % 4 == 3:
@@ -131,7 +125,7 @@ def crossing(t, span, low_value, high_value, y1, o, table):
         if not low < dt < high:
             break
         pressures_after(dt, fixed, w, table, y1)
-        value = all_guards(t, y1, o, g) + AIM
+        value = all_guards(t, y1, o, g) + BREAKAWAY_MARGIN_N
         if value < 0.0:
             high = dt
             high_value = value

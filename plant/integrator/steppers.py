@@ -18,9 +18,10 @@ from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED, fixed_state, length_state
 
 # Coefficients of Rodas4; rows: stages (of TO_DENSE: of the interpolant), columns: stages before.
-GAMMA = 0.25
-AT = np.array([0.0, 0.386, 0.21, 0.63, 1.0, 1.0])
-BY_TIME = np.array([0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0])
+STAGE_TIMES, BY_TIME = (
+    np.array([0.0, 0.386, 0.21, 0.63, 1.0, 1.0]),
+    np.array([0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0]),
+)
 TO_STATE, TO_RATE, TO_DENSE = np.zeros((6, 5)), np.zeros((6, 5)), np.zeros((2, 5))
 TO_STATE[2, :2] = 0.9466785280815826, 0.2557011698983284
 TO_STATE[3, :3] = 3.314825187068521, 2.896124015972201, 0.9986419139977817
@@ -290,11 +291,11 @@ def stiff_stage(number, o, r, n, n_all, quadratures):
     to_state, to_rate = TO_STATE[number], TO_RATE[number]
     for i in range(n_all):
         stage[i] = combined(o.y[i], to_state, number, k, i)
-    derivative(r.time + AT[number] * h, stage, k[number], o, quadratures)
+    derivative(r.time + STAGE_TIMES[number] * h, stage, k[number], o, quadratures)
     by_time = h * BY_TIME[number]
     for i in range(n_all):
         k[number, i] += combined(0.0, to_rate, number, k, i) / h + by_time * r.time_rate[i]
-    solve(r, k[number], n, n_all, 1.0 / (h * GAMMA))
+    solve(r, k[number], n, n_all, 1.0 / (h * 0.25))
 
 
 @called
@@ -308,7 +309,7 @@ def stiff_step(o, r, n, n_all, quadratures):
     k = r.k
     stage = r.stage
     ft = r.time_rate
-    diagonal = 1.0 / (h * GAMMA)
+    diagonal = 1.0 / (h * 0.25)
     factorise(r, n, diagonal)
     for i in range(n_all):
         k[0, i] = k[6, i] + h * 0.25 * ft[i]

@@ -9,7 +9,6 @@ from plant.kernel.layout import GUARDS, MAX_STATES, Impact, Modes, Quadratures
 from plant.kernel.records import Record, Value, block
 from plant.kernel.views import named
 
-STAGES = 7
 # Rows of vectors and matrices: whole cache lines, which the vector instructions need.
 WIDEST, ROW = 32, 16
 assert WIDEST - Quadratures.size - MAX_STATES >= 0 and ROW - MAX_STATES >= 0
@@ -48,7 +47,7 @@ class Run(Record):
     error: Value = block(WIDEST)
     column: Value = block(WIDEST)
     time_rate: Value = block(WIDEST)  # derivative of the rates in time
-    k: Value = block(STAGES, WIDEST)
+    k: Value = block(7, WIDEST)
     dense: Value = block(5, WIDEST)
     jacobian: Value = block(WIDEST, ROW)
     lu: Value = block(MAX_STATES, ROW)

@@ -12,7 +12,6 @@ from plant.kernel.layout import (
     COMPRESSIBLE,
     FIRST_PRESSURE,
     FIXED,
-    INCOMPRESSIBLE,
     FixedState,
     FlowMap,
     LengthState,
@@ -27,15 +26,12 @@ Ints = NDArray[np.int64]
 FIRST_STEP_S = 1e-4
 """First step of an integration."""
 
-DAMPERS = {"none": 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}
-P_ATM, P_SUPPLY = Parameters.p_atm, Parameters.p_supply
-P_OIL = FixedState.p_oil, LengthState.p_oil
-FIXED_SCALE = (0.01, 1.0, 1e5, 1e5, 1e5, 1e5)
 CHAMBER_NAMES = (("1", "2"), ("B", "N", "F"))
 # Leading states that are integrated: without oil and supply line, with oil, with the line.
-FIXED_COUNTS = (FixedState.p_2 + 1, FixedState.p_oil + 1, FixedState.size)
-LENGTH_COUNTS = (LengthState.impulse + 1, LengthState.p_oil + 1, LengthState.size)
-LENGTH_SCALE = (0.01, 1.0, 0.01, 1.0, 0.01, 1.0, 1e5, 1e5, 1e5, 1.0, 1e5, 1e5)
+STATE_COUNTS = (
+    (FixedState.p_2 + 1, FixedState.p_oil + 1, FixedState.size),
+    (LengthState.impulse + 1, LengthState.p_oil + 1, LengthState.size),
+)
 
 
 @dataclass(frozen=True)
@@ -54,9 +50,6 @@ class Load:
     mesh_force_n: float = 0.0
     pull_force_n: float = 0.0
     sync_impulse_n_s: float = 0.0
-
-
-NO_LOAD = Load()
 
 
 def flow_coefficients(parameters: ParameterSet) -> Floats:
@@ -119,20 +112,23 @@ def pack(
 
 def scales(system: int) -> Floats:
     """Return the typical size of each state [states], in its SI unit, for the error control."""
-    return np.array(FIXED_SCALE if system == FIXED else LENGTH_SCALE)
+    body = [0.01, 1.0]
+    return np.array(
+        [*body, *[1e5] * 4] if system == FIXED else [*body * 3, *[1e5] * 3, 1.0, 1e5, 1e5]
+    )
 
 
 def fresh_modes(system: int, load: Load) -> Modes:
     """Return modes with the system and the damper's model set."""
     m = Modes.zeros(np.int64)
     m.system = system
-    m.damper = DAMPERS[load.damper]
+    m.damper = ("none", "incompressible", "compressible").index(load.damper)
     return m
 
 
 def active_states(system: int, m: Modes) -> int:
     """How many leading states are integrated: oil and supply line only where they exist."""
-    counts = FIXED_COUNTS if system == FIXED else LENGTH_COUNTS
+    counts = STATE_COUNTS[system]
     if m.line != 0:
         return counts[2]
     return counts[1] if m.damper == COMPRESSIBLE else counts[0]
@@ -152,8 +148,7 @@ def initial_state(
     the supply pressure, the others at the atmosphere's.
     """
     size = FixedState.size if system == FIXED else LengthState.size
-    given = p.array.T
-    atmosphere, supply = given[P_ATM], given[P_SUPPLY]
+    atmosphere, supply = p.p_atm, p.p_supply
     single = p.array.ndim == 1
     state = np.zeros(size + quadratures if single else (size + quadratures, len(p.array)))
     if system == FIXED:
@@ -162,7 +157,7 @@ def initial_state(
         stroke = np.minimum(p.stroke + p.stop_offset, p.x_free)
         state[LengthState.x_s] = stroke if position == "B" else -stroke
         state[LengthState.x_1 if position == "B" else LengthState.x_2] = stroke + p.x_free
-    state[P_OIL[system]] = atmosphere
+    state[FixedState.p_oil if system == FIXED else LengthState.p_oil] = atmosphere
     state[size - 1] = supply
     for index, name in enumerate(CHAMBER_NAMES[system], FIRST_PRESSURE[system]):
         state[index] = supply if name in charged else atmosphere

@@ -65,8 +65,8 @@ class Access:
         if record is None:
             return self.index
         array = record.array
-        found = (array if array.ndim == 1 else array.T)[self.index]
-        return found.reshape(-1, self.field.row) if self.field.row else found
+        elements = (array if array.ndim == 1 else array.T)[self.index]
+        return elements.reshape(-1, self.field.row) if self.field.row else elements
 
     def __set__(self, record: Record, value: Value) -> None:
         array = record.array

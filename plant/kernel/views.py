@@ -15,24 +15,28 @@ from __future__ import annotations
 
 import operator
 
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
-from numba.core import cgutils
-from numba.core.errors import TypingError
-from numba.core.imputils import lower_builtin
-from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
+from numba import errors, types
+
+# numba.extending has no base for attributes but `overload_attribute`, a function compiled for each of
+# some hundred fields: a third more time for the first compilation
+from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     infer_getattr,
     intrinsic,
+    lower_builtin,
     lower_cast,
     lower_getattr_generic,
     lower_setattr_generic,
     models,
     register_model,
+    type_callable,
 )
 
-from plant.kernel.compiled import CHECKED
+from plant.kernel.compiled import CHECKED, announce
 from plant.kernel.records import RECORDS, Record
+
+TERM = types.float64(*[types.float64] * 6, types.CPointer(types.float64))
+"""Signature of a compiled term: six numbers and a pointer to its values."""
 
 
 class View(types.Type):
@@ -68,45 +72,44 @@ class ViewModel(models.PrimitiveModel):
         super().__init__(manager, view_type, element.as_pointer())
 
 
-def _element(builder, pointer, width, index):
-    if width != 1:
-        index = builder.mul(index, ir.Constant(index.type, width))
-    return builder.gep(pointer, [index])
+def _is_contiguous(array) -> bool:
+    return isinstance(array, types.Array) and array.layout == "C"
+
+
+def _pointer_of(context, builder, kind, value):
+    """Return the pointer to the first element of a view or an array."""
+    return (
+        value if isinstance(kind, View) else context.make_array(kind)(context, builder, value).data
+    )
+
+
+def _cast_pointer(context, builder, signature, arguments):
+    return _pointer_of(context, builder, signature.args[0], arguments[0])
+
+
+def _move_pointer(context, builder, signature, arguments):
+    pointer = _pointer_of(context, builder, signature.args[0], arguments[0])
+    return builder.gep(pointer, [arguments[1]])
 
 
 @intrinsic
 def _view(typing_context, array, offset):
     """View of a C-contiguous array from element `offset` on."""
-    if not isinstance(array, types.Array) or array.layout != "C":
-        raise TypingError("a view needs a C-contiguous array")
-    signature = View(array.dtype)(array, types.intp)
-
-    def generate(context, builder, signature, arguments):
-        whole = context.make_array(signature.args[0])(context, builder, arguments[0])
-        return builder.gep(whole.data, [arguments[1]])
-
-    return signature, generate
+    if not _is_contiguous(array):
+        raise errors.TypingError("a view needs a C-contiguous array")
+    return View(array.dtype)(array, types.intp), _move_pointer
 
 
 @intrinsic(prefer_literal=True)
 def _lane(typing_context, v, index, width):
     """Lane `index` of `width` (a constant) interleaved copies: element i is v[i width + index]."""
-    result = View(v.dtype, width.literal_value)
-
-    def generate(context, builder, signature, arguments):
-        return builder.gep(arguments[0], [arguments[1]])
-
-    return result(v, types.intp, width), generate
+    return View(v.dtype, width.literal_value)(v, types.intp, width), _move_pointer
 
 
 @intrinsic
 def _discarding(typing_context, v):
     """Return the same view, to which nothing is written."""
-
-    def generate(context, builder, signature, arguments):
-        return arguments[0]
-
-    return View(v.dtype, v.width, v.length, discards=True)(v), generate
+    return View(v.dtype, v.width, v.length, discards=True)(v), _cast_pointer
 
 
 def _named(record: type[Record], zeros: tuple[str, ...] = ()):
@@ -118,108 +121,13 @@ def _named(record: type[Record], zeros: tuple[str, ...] = ()):
 
     @intrinsic
     def named(typing_context, v):
-        if not isinstance(v, View) and not (isinstance(v, types.Array) and v.layout == "C"):
-            raise TypingError(f"{name} needs a view or a C-contiguous array")
+        announce()
+        if not isinstance(v, View) and not _is_contiguous(v):
+            raise errors.TypingError(f"{name} needs a view or a C-contiguous array")
         width = v.width if isinstance(v, View) else 1
-
-        def generate(context, builder, signature, arguments):
-            if isinstance(signature.args[0], View):
-                return arguments[0]
-            whole = context.make_array(signature.args[0])(context, builder, arguments[0])
-            return whole.data
-
-        return View(v.dtype, width, 0, name, zeros)(v), generate
+        return View(v.dtype, width, 0, name, zeros)(v), _cast_pointer
 
     return named
-
-
-@infer_global(operator.getitem)
-class Read(AbstractTemplate):
-    """`v[i]`, `v[i, j]`, the view `v[a:]`, and the row `v[i]` of a view with rows."""
-
-    def generic(self, args, kws):
-        """Return the signature."""
-        v, i = args
-        if not isinstance(v, View):
-            return None
-        tail = isinstance(i, types.SliceType)
-        row = v.length and not isinstance(i, types.BaseTuple)
-        result = View(v.dtype, v.width) if tail or row else v.dtype
-        return signature(result, v, i if isinstance(i, types.BaseTuple) or tail else types.intp)
-
-
-@infer_global(operator.setitem)
-class Write(AbstractTemplate):
-    """`v[i] = value` and `v[i, j] = value`."""
-
-    def generic(self, args, kws):
-        """Return the signature."""
-        v, i, _value = args
-        if not isinstance(v, View):
-            return None
-        return signature(
-            types.none, v, i if isinstance(i, types.BaseTuple) else types.intp, v.dtype
-        )
-
-
-def _indexed(context, builder, v, pointer, index_type, index):
-    """Return the pointer that an index selects."""
-    if isinstance(index_type, types.SliceType):
-        index = context.make_helper(builder, index_type, index).start
-    elif isinstance(index_type, types.BaseTuple):
-        i, j = (
-            context.cast(builder, part, kind, types.intp)
-            for part, kind in zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
-        )
-        index = builder.add(builder.mul(i, ir.Constant(i.type, v.length)), j)
-    elif v.length:
-        index = builder.mul(index, ir.Constant(index.type, v.length))
-    return _element(builder, pointer, v.width, index)
-
-
-@lower_builtin(operator.getitem, View, types.Any)
-def _read(context, builder, signature, arguments):
-    v, index_type = signature.args
-    pointer = _indexed(context, builder, v, arguments[0], index_type, arguments[1])
-    return pointer if isinstance(signature.return_type, View) else builder.load(pointer)
-
-
-@lower_builtin(operator.setitem, View, types.Any, types.Any)
-def _write(context, builder, signature, arguments):
-    v, index_type, _ = signature.args
-    if not v.discards:
-        pointer = _indexed(context, builder, v, arguments[0], index_type, arguments[1])
-        builder.store(arguments[2], pointer)
-    return context.get_dummy_value()
-
-
-@infer_getattr
-class Fields(AttributeTemplate):
-    """Attributes of a view of a record: one number, or a view of several."""
-
-    key = View
-
-    def generic_resolve(self, value, attribute):
-        """Return the type of a field."""
-        field = value.field(attribute)
-        if field is None:
-            return None
-        return View(value.dtype, value.width, field.row) if field.length else value.dtype
-
-
-@intrinsic
-def call_compiled(typing_context, address, slot, t, x, v, direction, pressure, values):
-    """Call the compiled function at an address: double f(six doubles, pointer to doubles)."""
-    number = types.float64
-
-    def generate(context, builder, signature, arguments):
-        double = ir.DoubleType()
-        kind = ir.FunctionType(double, [double] * 6 + [double.as_pointer()])
-        function = builder.inttoptr(arguments[0], kind.as_pointer())
-        # "readonly" keeps the compiler from reading every parameter again after the call
-        return builder.call(function, arguments[1:], attrs=("readonly", "nounwind"))
-
-    return number(types.int64, *[number] * 6, values), generate
 
 
 @intrinsic
@@ -233,38 +141,120 @@ def moved_pointer(typing_context, pointer, count):
 
 
 @intrinsic
-def _unlikely(typing_context, condition):
-    """Return a condition that is rarely true: the compiler moves what depends on it out of the way."""
+def call_compiled(typing_context, address, slot, t, x, v, direction, pressure, values):
+    """Call the compiled term at an address."""
 
     def generate(context, builder, signature, arguments):
-        bit = ir.IntType(1)
-        kind = ir.FunctionType(bit, [bit, bit])
+        kind = context.get_value_type(types.ExternalFunctionPointer(TERM, None))
+        function = builder.inttoptr(arguments[0], kind)
+        # "readonly" keeps the compiler from reading every parameter again after the call
+        return builder.call(function, arguments[1:], attrs=("readonly", "nounwind"))
+
+    return TERM.return_type(types.int64, *TERM.args[:-1], values), generate
+
+
+@intrinsic
+def _unlikely(typing_context, condition):
+    """Return a condition that is rarely true: the compiler moves what depends on it out of the way."""
+    both = types.ExternalFunctionPointer(types.boolean(types.boolean, types.boolean), None)
+
+    def generate(context, builder, signature, arguments):
+        bit = arguments[0].type
+        kind = context.get_value_type(both).pointee
         expect = builder.module.declare_intrinsic("llvm.expect", [bit], kind)
         return builder.call(expect, [arguments[0], bit(0)])
 
     return types.boolean(types.boolean), generate
 
 
-def _pointer(context, builder, v, pointer, field):
-    return _element(builder, pointer, v.width, context.get_constant(types.intp, field.start))
+def _selected_type(v, index):
+    """Return the type of `v[index]`: an element, or the view `v[a:]` or of a row."""
+    is_row = v.length and not isinstance(index, types.BaseTuple)
+    return View(v.dtype, v.width) if is_row or isinstance(index, types.SliceType) else v.dtype
+
+
+@type_callable(operator.getitem)
+def _type_of_read(context):
+    return lambda v, index: _selected_type(v, index) if isinstance(v, View) else None
+
+
+@type_callable(operator.setitem)
+def _type_of_write(context):
+    return lambda v, index, value: types.none if isinstance(v, View) else None
+
+
+def _element(builder, v, pointer, index):
+    return builder.gep(
+        pointer, [builder.mul(index, index.type(v.width)) if v.width != 1 else index]
+    )
+
+
+def _selected(context, builder, v, pointer, index_type, index):
+    """Return the pointer that an index selects."""
+    if isinstance(index_type, types.SliceType):
+        index = context.make_helper(builder, index_type, index).start
+    elif isinstance(index_type, types.BaseTuple):
+        i, j = (
+            context.cast(builder, builder.extract_value(index, k), kind, types.intp)
+            for k, kind in enumerate(index_type)
+        )
+        index = builder.add(builder.mul(i, i.type(v.length)), j)
+    else:
+        index = context.cast(builder, index, index_type, types.intp)
+        if v.length:
+            index = builder.mul(index, index.type(v.length))
+    return _element(builder, v, pointer, index)
+
+
+@lower_builtin(operator.getitem, View, types.Any)
+def _read(context, builder, signature, arguments):
+    v, index_type = signature.args
+    pointer = _selected(context, builder, v, arguments[0], index_type, arguments[1])
+    return pointer if isinstance(signature.return_type, View) else builder.load(pointer)
+
+
+@lower_builtin(operator.setitem, View, types.Any, types.Any)
+def _write(context, builder, signature, arguments):
+    v, index_type, kind = signature.args
+    if not v.discards:
+        pointer = _selected(context, builder, v, arguments[0], index_type, arguments[1])
+        builder.store(context.cast(builder, arguments[2], kind, v.dtype), pointer)
+    return context.get_dummy_value()
+
+
+def _field_pointer(context, builder, v, pointer, field):
+    return _element(builder, v, pointer, context.get_constant(types.intp, field.start))
+
+
+@infer_getattr
+class Fields(AttributeTemplate):
+    """Attributes of a view of a record: one number, or a view of several."""
+
+    key = View
+
+    def generic_resolve(self, v, name):
+        """Return the type of a field."""
+        field = v.field(name)
+        if field is None:
+            return None
+        return View(v.dtype, v.width, field.row) if field.length else v.dtype
 
 
 @lower_getattr_generic(View)
-def _get(context, builder, v, pointer, attribute):
-    field = v.field(attribute)
-    if field.length:
-        return _pointer(context, builder, v, pointer, field)
-    if attribute in v.zeros:
+def _get(context, builder, v, pointer, name):
+    field = v.field(name)
+    if name in v.zeros:
         return context.get_constant(v.dtype, 0)
-    return builder.load(_pointer(context, builder, v, pointer, field))
+    pointer = _field_pointer(context, builder, v, pointer, field)
+    return pointer if field.length else builder.load(pointer)
 
 
 @lower_setattr_generic(View)
-def _set(context, builder, signature, arguments, attribute):
+def _set(context, builder, signature, arguments, name):
     v = signature.args[0]
     pointer, value = arguments
     if not v.discards:
-        builder.store(value, _pointer(context, builder, v, pointer, v.field(attribute)))
+        builder.store(value, _field_pointer(context, builder, v, pointer, v.field(name)))
 
 
 @lower_cast(types.IntEnumMember, types.Float)

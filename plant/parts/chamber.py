@@ -118,9 +118,9 @@ def chamber(pressure, u, leak, volume, volume_rate, supply, alphas, p, c):
 
 
 @inlined
-def store_chamber(q, j, found, pressure, u, volume_rate, p):
-    """Store the rates of chamber j's quadratures, from what `chamber` found."""
-    _, flow_in, flow_out, gas, alpha = found
+def store_chamber(q, j, flows, pressure, u, volume_rate, p):
+    """Store the rates of chamber j's quadratures, from what `chamber` returned."""
+    _, flow_in, flow_out, gas, alpha = flows
     q.gas[j] = gas
     q.heat[j] = (1.0 - alpha) * pressure * volume_rate
     q.work[j] = pressure * volume_rate

@@ -16,8 +16,6 @@ from plant.kernel.packing import Floats
 from plant.parts.chamber import chamber
 from plant.systems.stroke import valve_moves
 
-SUBSTEPS = 4
-
 
 @kernel
 def chamber_along(time, volume, start, moves, p, c, out):
@@ -29,6 +27,7 @@ def chamber_along(time, volume, start, moves, p, c, out):
     p = parameters(p)
     c = flow_map(c)
     alphas = (p.alpha_m1, p.alpha_1, p.alpha_m2, p.alpha_2)
+    substeps = 4
     pressure = start
     out[0] = pressure
     u = moves[0, 1]
@@ -47,8 +46,8 @@ def chamber_along(time, volume, start, moves, p, c, out):
             end = time[i]
             if k < len(moves) and moves[k, 0] < end:
                 end = moves[k, 0]
-            h = (end - t) / SUBSTEPS
-            for _ in range(SUBSTEPS):
+            h = (end - t) / substeps
+            for _ in range(substeps):
                 total = 0.0
                 slope_before = 0.0
                 for stage in range(4):

@@ -23,13 +23,6 @@ from plant.kernel.packing import Floats
 from plant.systems import driven
 from plant.systems.stroke import StrokeSystem, valve_moves
 
-TOLERANCE = 1e-7
-HEAVY_KG = 1e9
-"""Mass of a stay that nothing turns from its imposed motion."""
-
-VAST_M3 = 1e9
-"""Volume of a chamber whose pressure nothing changes from its imposed value."""
-
 
 def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
     """Pressures [n, chambers] along a measured position of the stay, smoothed before [Pa].
@@ -72,14 +65,14 @@ class ImposedSystem(StrokeSystem):
     """A stroke of which one part follows a record instead of its equation."""
 
     def __init__(self, setup: Setup) -> None:
-        super().__init__(replace(setup, p=setup.p.copy()), TOLERANCE)
+        super().__init__(replace(setup, p=setup.p.copy()), tolerance=1e-7)
 
     def free_stay(self) -> None:
         """Take the stay's stops, loads and damper away, and its motion from all forces."""
         p = self._p
         p.sync_impulse = p.spring_k = p.f_external = p.detent_force = 0.0
         p.stop_offset = 1.0
-        p.m_s = HEAVY_KG
+        p.m_s = 1e9  # kg: nothing turns the stay from its motion
         self._m.damper = 0
 
     def impose_speed(self, speed_m_s: float) -> None:
@@ -98,7 +91,7 @@ class ImposedSystem(StrokeSystem):
 
     def impose_pressures(self, pressures_pa: Floats) -> None:
         """Give the chambers their pressures [chambers], in their order [Pa], instead of equations."""
-        self._p.vol_b = self._p.vol_n = self._p.vol_f = VAST_M3
+        self._p.vol_b = self._p.vol_n = self._p.vol_f = 1e9  # m^3: nothing changes the pressures
         self._y[pressure_slice(self._system)] = pressures_pa
 
 

@@ -13,7 +13,7 @@ from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
 from plant.integrator.hybrid import DEFAULT_TOLERANCE, HybridSystem
 from plant.kernel.layout import LENGTH, Quadratures
-from plant.kernel.packing import NO_LOAD, Load, flow_coefficients, initial_state, pack
+from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
 from plant.parameters import ParameterSet
 from plant.systems.run_effects import applied
 
@@ -60,7 +60,7 @@ class LengthStroke(HybridSystem):
         initial: str = "N",
         supply_pressure_pa: float | None = None,
         charged: Sequence[str] = (),
-        load: Load = NO_LOAD,
+        load: Load = Load(),  # noqa: B008 - frozen
         tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
         if initial not in self.chambers:

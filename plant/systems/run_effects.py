@@ -15,7 +15,7 @@ from plant.kernel.layout import Parameters
 from plant.kernel.packing import Floats
 from plant.parameters import ParameterSet
 
-REFUSED = {
+REASON_BY_SCOPE = {
     "instrument": "of the instruments; on a run set the sensor's own values instead "
     "(opc4 simulate applies it)",
     "stroke": "belongs to a single stroke; a run cannot apply it (opc4 simulate can)",
@@ -36,7 +36,7 @@ def applied(
         for name, table in parameters.effects.items()
     }
     for name, values in given.items():
-        why = REFUSED.get(CATALOGUE[name].scope_of(values))
+        why = REASON_BY_SCOPE.get(CATALOGUE[name].scope_of(values))
         if why:
             raise InputError(f"{parameters.name}: [effect.{name}]: {why}")
     conditions = StrokeConditions(

@@ -172,8 +172,8 @@ def lagged(time_s: Floats, values: Floats, lag_s: float) -> Floats:
     driven = values[1:] - ahead + (ahead - values[:-1]) * decay.reshape(shape)
     # out[k] - decay[k] out[k-1] = driven[k]
     bands = np.vstack([np.ones(len(time_s)), np.concatenate([-decay, [0.0]])])
-    known = np.concatenate([values[:1], driven])
-    return np.asarray(solve_banded((1, 0), bands, known, check_finite=False))
+    right_side = np.concatenate([values[:1], driven])
+    return np.asarray(solve_banded((1, 0), bands, right_side, check_finite=False))
 
 
 def gauged(setup: Setup, time_s: Floats, pressures_pa: Floats) -> Floats:
@@ -228,8 +228,8 @@ def run_setup(
     if internal:
         measured = states[np.searchsorted(wanted, instants), 0]
         clock_s = time_s - setup.clock_offset_s - setup.clock_drift * time_s
-        held = chain.held_m(clock_s, chain.ticks_s(end_s, setup.phase_s), measured)
-        reported = setup.reported_m(held)
+        sampled = chain.held_m(clock_s, chain.ticks_s(end_s, setup.phase_s), measured)
+        reported = setup.reported_m(sampled)
     if internal and len(wanted) != len(sample_ns):
         states = states[np.searchsorted(wanted, sample_ns)]
     pressures = pressure_slice(conditions.system)

@@ -42,7 +42,7 @@ def measure() -> Iterator[str]:
             sys.executable, "-m", "sil.cli", "simulate", str(folder / "measured"),
             "--out", str(folder / "simulated"), "--force",
         ]  # fmt: skip
-        environment = {**os.environ, "OPC4_CACHE": str(folder / "cache")}
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
 
         def once() -> float:
             begin = time.perf_counter()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
-
-import numba
-import pytest
 
 from plant.kernel import compiled
 
@@ -27,9 +27,9 @@ def makes_kernels(path: Path) -> bool:
 
 
 def test_every_module_with_compiled_functions_is_a_source_of_the_cache() -> None:
-    found = {path for path in PLANT.rglob("*.py") if makes_kernels(path)}
-    assert len(found) >= 15
-    assert found <= set(compiled.kernel_sources())
+    modules = {path for path in PLANT.rglob("*.py") if makes_kernels(path)}
+    assert len(modules) >= 15
+    assert modules <= set(compiled.kernel_sources())
 
 
 def test_any_edit_means_another_cache(tmp_path: Path) -> None:
@@ -43,19 +43,30 @@ def test_any_edit_means_another_cache(tmp_path: Path) -> None:
     assert len(hashes) == 1 + len(compiled.kernel_sources())
 
 
-def test_the_cache_is_named_after_the_sources(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("OPC4_CACHE", str(tmp_path))
-    assert compiled.cache_folder() == tmp_path / f"kernel-{compiled.kernel_hash()}"
+def test_the_cache_is_in_the_folder_of_numba_if_the_user_names_one(tmp_path: Path) -> None:
+    done = folder_of(NUMBA_CACHE_DIR=str(tmp_path))
+    assert done.stdout.split() == [str(tmp_path / f"kernel-{compiled.kernel_hash()}")]
+    assert done.stderr == ""
 
 
-def test_python_can_call_a_part_before_and_after_a_kernel_uses_it() -> None:
-    @compiled.called
-    def twice(value: float) -> float:
-        return 2.0 * value
+def test_without_a_writable_folder_one_line_names_the_temporary_one(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    done = folder_of(NUMBA_CACHE_DIR=str(blocked))
+    folder = Path(done.stdout.strip())
+    assert folder.name == f"kernel-{compiled.kernel_hash()}" and not folder.exists()
+    assert done.stderr.count("\n") == 1 and str(folder.parent) in done.stderr
 
-    assert twice(1.5) == 3.0
-    outer = numba.njit(lambda value: twice(value) + 1.0)
-    assert outer(1.5) == 4.0
-    assert twice(2.5) == 5.0
+
+def folder_of(**environment: str) -> subprocess.CompletedProcess[str]:
+    """Ask a fresh interpreter for its cache folder."""
+    return subprocess.run(
+        [sys.executable, "-c", "from plant.kernel.compiled import cache_folder as f; print(f())"],
+        env={**os.environ, **environment}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+
+
+def test_each_kernel_has_one_signature() -> None:
+    """Processes that compile the same kernel at once then write the same file."""
+    files = [str(path).rsplit(".", 2)[0] for path in compiled.cache_folder().rglob("*.nbc")]
+    assert len(files) == len(set(files))
