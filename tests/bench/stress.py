@@ -1,6 +1,6 @@
 """The bus under stress: what becomes of two shifts when others disturb, one scenario a line.
 
-The scenarios are files as a user writes them, in tests/bench/disturbed.
+The scenarios are files as a user writes them, in tests/support/disturbed.
 """
 
 from __future__ import annotations
@@ -13,22 +13,9 @@ from typing import Any
 
 from can_dbc.messages import Fault, Gear
 from sil.simulation.load_scenario import load
-from sil.simulation.runner import Finished, run
-from sil.simulation.safety import figures
+from sil.simulation.runner import run
+from tests.support.disturbed_bus import NAMES, SCENARIOS, safety_of
 
-SCENARIOS = Path(__file__).parent / "disturbed"
-FIRST = (
-    *("quiet", "load_50", "load_70", "load_90", "load_120", "babbling", "babbling_for_good"),
-    *(
-        "bus_off",
-        "error_frames",
-        "spoofed",
-        "spoofed_at_rest",
-        "replayed",
-        "replayed_300ms",
-        "drift",
-    ),
-)
 HEAD = (
     f"{'scenario':18}{'load':>6}{'frames':>8}{'errors':>7}{'lost':>6}{'command':>10}{'refused':>9}"
     f"{'taken':>7}  {'asked/true/reported':27}{'impact':>7}{'orphan':>8}{'false':>7}  reported"
@@ -38,7 +25,7 @@ HEAD = (
 def measure() -> Iterator[str]:
     """Lines of the table, its legend, and the run with drifting clocks in real time."""
     yield HEAD
-    for name in FIRST:
+    for name in NAMES:
         yield line(load(str(SCENARIOS / f"{name}.toml")))
     yield "command: longest time from release to arrival of a valve command, ms; lost: overwritten"
     yield "before they were sent, dropped or sent into a bus-off; reported -: at the end no status is valid;"
@@ -88,9 +75,3 @@ def line(loaded: Any) -> str:
         f"{safety['worst_impact_m_s']:7.2f}{1e3 * safety['orphan_energised_s']:8.0f}"
         f"{1e3 * safety['false_gear_s']:7.0f}  {names}"
     )
-
-
-def safety_of(finished: Finished, loaded: Any) -> dict[str, float]:
-    """The safety figures of a run; all fault bits count, whenever they were reported."""
-    assert finished.record is not None
-    return figures(finished.record, loaded.scenario)

@@ -9,7 +9,7 @@ import pytest
 from controller.strategies import NAMES
 from sil.simulation import load_scenario, runner
 from sil.simulation.in_memory import run_in_memory
-from tests.bench.strategies import cost
+from tests.support.step_cost import cost
 
 STRATEGIES = [name for name in NAMES if name != "open_loop"]
 

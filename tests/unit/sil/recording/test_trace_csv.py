@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sil.recording.trace_csv import TraceCsv, held
-from tests.unit.sil import made_run
+from tests.support import made_run
 
 
 def test_held_values() -> None:

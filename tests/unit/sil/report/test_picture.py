@@ -11,7 +11,7 @@ from matplotlib.image import imread
 
 from sil.report.figure import Figure, Note, Panel, Series, Stack, Zoom
 from sil.report.picture import MOST_ZOOMS, draw, save
-from tests.unit.sil.report.test_figure import everything
+from tests.support.figures import everything
 
 
 def texts(figure: Figure) -> set[str]:

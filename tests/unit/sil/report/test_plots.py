@@ -9,7 +9,7 @@ import numpy as np
 
 from sil.report.figure import Figure, Panel, Series, Stack, Zoom
 from sil.report.plots import MOST_POINTS, Group, on_axis, plots, rounded
-from tests.unit.sil.report.test_figure import everything
+from tests.support.figures import everything
 
 
 def one(*series: Series, title: str = "p", zooms: list[Zoom] | None = None) -> Group:

@@ -13,7 +13,7 @@ from sil.recording.run_record import PlantEvent
 from sil.report.picture import draw, save
 from sil.report.run_figure import SILENT, run_figure, state_spans, valve_spans
 from sil.simulation import metrics
-from tests.unit.sil import made_run
+from tests.support import made_run
 
 
 def test_valve_spans_are_those_of_the_events() -> None:

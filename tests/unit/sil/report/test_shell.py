@@ -12,7 +12,7 @@ import sil.report
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.report.theme import THEMES
-from tests.unit.sil.report.test_figure import everything
+from tests.support.figures import everything
 
 TEMPLATES = sorted(Path(sil.report.__path__[0]).glob("*.html"))
 PARTS = {"shell.html", "plots.html", "causes.html"}

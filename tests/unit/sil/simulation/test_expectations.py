@@ -9,7 +9,7 @@ import pytest
 from can_dbc.messages import Gear
 from sil.simulation import metrics
 from sil.simulation.expectations import Expectations, Limits, Observed, Timing, evaluate
-from tests.unit.sil import made_run
+from tests.support import made_run
 
 
 def judged(**wanted: Any) -> dict[str, bool]:

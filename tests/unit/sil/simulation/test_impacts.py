@@ -9,7 +9,7 @@ from can_dbc.messages import Gear
 from sil.simulation import load_scenario, metrics
 from sil.simulation.impacts import counted, worst_speed_m_s
 from sil.simulation.in_memory import Run, run_in_memory
-from tests.unit.sil import made_run
+from tests.support import made_run
 
 BLOW_INSIDE = {
     "controller.strategy_parameters.trigger_m": 0.001,

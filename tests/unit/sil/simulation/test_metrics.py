@@ -11,7 +11,7 @@ from can_dbc.messages import Gear, ShiftRequest
 from sil.recording.trace_csv import trace_columns
 from sil.report.run_figure import shift_zooms
 from sil.simulation import metrics
-from tests.unit.sil import made_run
+from tests.support import made_run
 
 
 def test_crossing_is_linear_between_samples_and_none_when_never_reached() -> None:

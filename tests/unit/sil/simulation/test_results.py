@@ -6,33 +6,14 @@ import json
 from xml.etree import ElementTree
 
 from sil.files.output_folder import finite
-from sil.simulation.results import Check, Result, as_json, junit_xml, versions
-
-
-def made(**changes: object) -> Result:
-    fields: dict[str, object] = {
-        "scenario_name": "example",
-        "passed": True,
-        "complete": True,
-        "why": None,
-        "expectations": [Check(name="final gear", passed=True, value="neutral", limit="neutral")],
-        "metrics": {"shift_time_s": 0.1},
-        "trace_sha256": "0" * 64,
-        "seed": 1,
-        "transport": "inproc",
-        "versions": {},
-        "bus": {},
-        "balances": {},
-        "speed": {"wall_s": 0.5},
-        "scenario": {},
-        "model": {},
-        "status": "passed",
-    }
-    return Result(**(fields | changes))  # type: ignore[arg-type]
+from sil.simulation.results import Check, as_json, junit_xml, versions
+from tests.support.results import finished_result
 
 
 def test_json_has_no_nan_and_the_promised_names() -> None:
-    output = json.loads(as_json(made(metrics={"a": float("nan"), "b": [float("inf"), 1.0]})))
+    output = json.loads(
+        as_json(finished_result(metrics={"a": float("nan"), "b": [float("inf"), 1.0]}))
+    )
     assert output["metrics"] == {"a": None, "b": [None, 1.0]}
     assert {
         "passed",
@@ -52,11 +33,13 @@ def test_versions_name_the_libraries_a_result_depends_on() -> None:
 
 def test_junit_counts_failures_and_an_unfinished_run() -> None:
     bad = Check(name='<a> & "b"', passed=False, value=None, limit={"max": 1.0})
-    text = junit_xml(made(expectations=[*made().expectations, bad], passed=False))
+    text = junit_xml(
+        finished_result(expectations=[*finished_result().expectations, bad], passed=False)
+    )
     suite = ElementTree.fromstring(text.split("\n", 1)[1])[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "1", "0")
     assert [c.get("name") for c in suite] == ["final gear", '<a> & "b"']
-    ended = junit_xml(made(complete=False, why="plant was killed\x00", passed=False))
+    ended = junit_xml(finished_result(complete=False, why="plant was killed\x00", passed=False))
     suite = ElementTree.fromstring(ended.split("\n", 1)[1])[0]
     assert (suite.get("tests"), suite.get("errors")) == ("2", "1")
     error = suite.find("testcase[@name='run finished']/error")

@@ -12,8 +12,8 @@ from can_dbc.messages import Gear
 from sil.cli import main
 from sil.report.run_page import run_page
 from sil.simulation import metrics
-from tests.unit.sil import made_run
-from tests.unit.sil.simulation.test_results import made as made_result
+from tests.support import made_run
+from tests.support.results import finished_result
 
 
 class _Tags(HTMLParser):
@@ -35,7 +35,7 @@ def test_page_is_well_formed_and_needs_no_network() -> None:
     record = made_run.made()
     shifts = metrics.shifts(record, Gear.NEUTRAL)
     figures = metrics.summary(shifts, None, 2, 200)
-    result = made_result(
+    result = finished_result(
         metrics=figures,
         scenario={"description": "<script>alert(1)</script>"},
         bus={"bitrate": 500_000, "load": 0.3, "messages": []},
@@ -48,7 +48,7 @@ def test_page_is_well_formed_and_needs_no_network() -> None:
     assert "<script>alert" not in page and "&lt;script&gt;" in page
     assert "50 ms" in page and "prefers-color-scheme: dark" in page
     assert run_page(
-        made_result(complete=False, why="plant died", scenario={"description": ""}), None
+        finished_result(complete=False, why="plant died", scenario={"description": ""}), None
     )
 
 
