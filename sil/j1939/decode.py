@@ -21,6 +21,7 @@ from can_dbc.dbc import load_dbc
 from can_dbc.errors import InputError
 from can_dbc.frame import split_id
 from sil.files.quantity import counted
+from sil.j1939.mapping import ANY_SOURCE
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
 from sil.logs.merged import Reading, open_logs
@@ -35,11 +36,6 @@ if TYPE_CHECKING:
     from cantools.database.can import Message
 
 COLUMNS: Final = ("time_s", "channel", "message", "source", "signal", "value", "unit", "text")
-_NULL_ADDRESS: Final = 0xFE
-"""Source address in the J1939 identifiers of a DBC, which stands for any."""
-
-_BATCH: Final = 4096
-_MOST_UNKNOWN: Final = 100_000
 _SHOWN: Final = 5
 
 
@@ -78,20 +74,20 @@ class DecodeReport:
 
     def lines(self) -> list[str]:
         """Return the report as text, one fact per line."""
-        found = [
+        lines = [
             f"{self.target}: {counted(self.values, 'value')} of {counted(self.messages.total(), 'message')} "
             f"({', '.join(f'{n} {name}' for name, n in self.messages.most_common())})"
         ]
-        found += [f"not decoded: {n} {name}" for name, n in self.broken.items()]
+        lines += [f"not decoded: {n} {name}" for name, n in self.broken.items()]
         if self.unknown:
             shown = ", ".join(f"{name} ({n})" for name, n in self.unknown.most_common(_SHOWN))
             more = ", ..." if len(self.unknown) > _SHOWN else ""
-            found.append(
+            lines.append(
                 f"not in {self.database}: {self.unknown.total()} frames of {len(self.unknown)} "
                 f"identifiers: {shown}{more}"
             )
-        found += self.transport.lines()
-        return [*found, f"{self.source}:", *(f"  {line}" for line in self.read.lines())]
+        lines += self.transport.lines()
+        return [*lines, f"{self.source}:", *(f"  {line}" for line in self.read.lines())]
 
 
 class Decoder:
@@ -106,7 +102,7 @@ class Decoder:
         for message in database.messages:
             can_id, extended = message.frame_id, message.is_extended_frame
             self._exact[can_id, extended] = message
-            by_group = j1939 or message.protocol == "j1939" or can_id & 0xFF == _NULL_ADDRESS
+            by_group = j1939 or message.protocol == "j1939" or can_id & 0xFF == ANY_SOURCE
             if extended and by_group:
                 self._groups[split_id(can_id).pgn] = message
 
@@ -130,7 +126,7 @@ class Decoder:
             message = self._groups.get(pgn)
         if message is None:
             name = f"{frame.can_id:0{8 if frame.extended else 3}X}" if pgn is None else f"PGN {pgn}"
-            if len(self._report.unknown) < _MOST_UNKNOWN or name in self._report.unknown:
+            if len(self._report.unknown) < 100_000 or name in self._report.unknown:
                 self._report.unknown[name] += 1
             return None
         return self._signals(message, frame, source, data)
@@ -295,7 +291,7 @@ def decode(
     decoder = Decoder(load_dbc(database, strict=False), report)
     with written(path) as file, _TABLES[kind](path, file) as take:
         decoded = (one for frame in log if (one := decoder.decode(frame)) is not None)
-        while batch := list(islice(decoded, _BATCH)):
+        while batch := list(islice(decoded, 4096)):
             take(batch)
         report.transport.finish()
         report.read = log.report

@@ -13,8 +13,6 @@ NAME_FUNCTIONS = {ENGINE: 0, TRANSMISSION: 3, SHIFT_CONSOLE: 5, PNEUMATICS: 36}
 """Function in the NAME of each address (SAE J1939, table B11)."""
 
 PGN_DM1, PGN_CLAIM = 65226, 60928
-DM1_PERIOD_NS = 1_000_000_000
-
 OWN_SPN = 520_192
 """First of the numbers that are free for manufacturers: here the position sensor."""
 
@@ -63,7 +61,7 @@ class FaultSender:
             return []
         self._faults = faults
         frames = active_faults(faults)
-        self._next_ns = now_ns + DM1_PERIOD_NS
+        self._next_ns = now_ns + 1_000_000_000
         self._free_ns = now_ns + len(frames) * BAM_PERIOD_NS
         return [(now_ns + k * BAM_PERIOD_NS, frame) for k, frame in enumerate(frames)]
 

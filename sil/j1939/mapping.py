@@ -38,10 +38,6 @@ Meaning = Literal[
     "pulse_s",
     "coil_temperature_k",
 ]
-_LAST_VALID_BYTE: Final = 0xFB
-"""Above it the highest byte of a J1939 parameter means error or not available."""
-
-_LONGEST: Final = 64
 
 
 class MappedSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -122,7 +118,7 @@ class SignalMapping:
                 f"{where}.signal: {name!r} is {unknown_name(row.signal, signals)} "
                 f"(of {message.name} in {self.dbc})"
             )
-        if message.length > _LONGEST:
+        if message.length > 64:
             raise InputError(
                 f"{where}.message: {message.name} has {message.length} bytes; expected one frame"
             )
@@ -181,7 +177,7 @@ class SignalMapping:
 def _physical(signal: Signal, raw: float, is_j1939: bool) -> float | None:
     """Return a value in the DBC's unit, None where it is not valid."""
     whole_bytes = signal.length in (8, 16, 32) and not (signal.is_signed or signal.is_float)
-    if is_j1939 and whole_bytes and int(raw) >> signal.length - 8 > _LAST_VALID_BYTE:
+    if is_j1939 and whole_bytes and int(raw) >> signal.length - 8 > 0xFB:
         return None
     value = float(signal.scale) * raw + float(signal.offset)
     low, high = signal.minimum, signal.maximum

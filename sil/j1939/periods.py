@@ -15,8 +15,6 @@ from sil.logs.frame import LogFrame
 if TYPE_CHECKING:
     from cantools.database import Database
 
-_MOST_INTERVALS: Final = 10_000
-_MOST_MESSAGES: Final = 4_000
 _LEAST_INTERVALS: Final = 10
 _REGULAR_SHARE, _REGULAR_WITHIN = 0.8, 0.3
 """A message is periodic if so many of its intervals are so close to their median."""
@@ -45,7 +43,7 @@ class MeasuredMessage:
         """Take one frame; the first intervals are kept."""
         self.frames += 1
         self.length = max(self.length, len(frame.data))
-        last_ns, room = self._last_ns, len(self._intervals) < _MOST_INTERVALS
+        last_ns, room = self._last_ns, len(self._intervals) < 10_000
         if room and last_ns is not None and frame.time_ns > last_ns:
             self._intervals.append(frame.time_ns - last_ns)
         self._last_ns = frame.time_ns
@@ -78,7 +76,7 @@ def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
 
     Raises InputError for a log of several channels, and for one without messages that repeat.
     """
-    found: dict[tuple[int, bool], MeasuredMessage] = {}
+    messages: dict[tuple[int, bool], MeasuredMessage] = {}
     channels: set[str] = set()
     fd = 0
     for frame in frames:
@@ -89,23 +87,23 @@ def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
             continue
         channels.add(frame.channel)
         key = frame.can_id, frame.extended
-        message = found.get(key)
+        message = messages.get(key)
         if message is None:
-            if len(found) >= _MOST_MESSAGES:
+            if len(messages) >= 4_000:
                 continue
-            message = found[key] = MeasuredMessage(*key)
+            message = messages[key] = MeasuredMessage(*key)
         message.take(frame)
     if len(channels) > 1:
         raise InputError(
             f"{log}: channels {', '.join(sorted(channels)[:8])}; expected one bus, by --channel"
         )
-    measured = [message for message in found.values() if message.measure()]
+    measured = [message for message in messages.values() if message.measure()]
     if not measured:
         raise InputError(
             f"{log}: no message comes {_LEAST_INTERVALS + 1} times; expected a log of a bus in traffic"
         )
     notes = []
-    if rare := len(found) - len(measured):
+    if rare := len(messages) - len(measured):
         notes.append(f"{counted(rare, 'message')} too rare to be measured, left out")
     if fd:
         notes.append(
@@ -124,12 +122,12 @@ def names_of(
     """Return the database's name of each message: by identifier, else by J1939 parameter group."""
     exact = {(m.frame_id, m.is_extended_frame): m.name for m in database.messages}
     groups = {split_id(m.frame_id).pgn: m.name for m in database.messages if m.is_extended_frame}
-    found = {}
+    names = {}
     for message in messages:
         key = message.can_id, message.extended
         if key in exact:
-            found[key] = exact[key]
+            names[key] = exact[key]
         elif message.extended and split_id(message.can_id).pgn in groups:
             name = groups[split_id(message.can_id).pgn]
-            found[key] = f"{name} of {message.can_id & 0xFF:02X}"
-    return found
+            names[key] = f"{name} of {message.can_id & 0xFF:02X}"
+    return names

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any, Final
+from typing import Any
 
 from can_dbc.frame import split_id
 from sil.files.quantity import counted
@@ -16,8 +16,6 @@ from sil.logs.frame import LogFrame
 from sil.logs.registry import open_log
 from sil.shifts.cutter import Shift, ShiftFinder
 from sil.shifts.engine import EngineTrace
-
-_MOST_GROUPS: Final = 20_000
 
 
 @dataclass(slots=True)
@@ -75,22 +73,22 @@ class J1939Summary:
 
     def lines(self) -> list[str]:
         """Return the summary as text, shifts first."""
-        found = [f"{counted(len(self.shifts), 'shift')} in {counted(self.frames, 'frame')}"]
+        lines = [f"{counted(len(self.shifts), 'shift')} in {counted(self.frames, 'frame')}"]
         begin_ns = self.first_ns or 0
-        found += [
+        lines += [
             f"  {number}. +{(shift.start_ns - begin_ns) / 1e9:.3f} s: {shift}"
             for number, shift in enumerate(self.shifts, 1)
         ]
         if self.unflagged:
-            found.append(
+            lines.append(
                 f"{counted(len(self.unflagged), 'change')} of gear outside of flagged shifts"
             )
-            found += [f"  {shift}" for shift in self.unflagged]
+            lines += [f"  {shift}" for shift in self.unflagged]
         if self.chatter:
-            found.append(f"{self.chatter} one-sample changes of the flag or gear left out")
+            lines.append(f"{self.chatter} one-sample changes of the flag or gear left out")
         if self.unfinished:
-            found.append(f"{counted(self.unfinished, 'shift')} without beginning or end in the log")
-        return found + self.transport.lines() + self.notes
+            lines.append(f"{counted(self.unfinished, 'shift')} without beginning or end in the log")
+        return lines + self.transport.lines() + self.notes
 
 
 def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
@@ -113,7 +111,7 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
         if identifier is None:
             is_long = split_id(frame[1]).pgn in (PGN_CONTROL, PGN_DATA)
             identifier = _Identifier(transport.take if is_long else finder.follow(*key))
-            if len(identifiers) < _MOST_GROUPS:
+            if len(identifiers) < 20_000:
                 identifiers[key] = identifier
             else:
                 others += 1
@@ -125,12 +123,12 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
     for (_, can_id), identifier in identifiers.items():
         parts = split_id(can_id)
         groups[parts.pgn, parts.source] += identifier.frames
-    found = finder.finish()
+    shifts = finder.finish()
     return J1939Summary(
         groups.total() + others,
         groups.total(),
         dict(groups),
-        found,
+        shifts,
         finder.unflagged,
         finder.chatter,
         finder.unfinished,

@@ -25,12 +25,9 @@ BAM_PERIOD_NS: Final = 50_000_000
 
 MOST_BYTES: Final = 1785
 LEAST_BYTES: Final = 9
-_BROADCAST_TIMEOUT_NS: Final = 750_000_000
-_NEGOTIATED_TIMEOUT_NS: Final = 1_250_000_000
 _PACKET_BYTES: Final = 7
 _PRIORITY: Final = 7
 _RTS, _CTS, _ACKNOWLEDGE, _BAM, _ABORT = 16, 17, 19, 32, 255
-_MOST_LOCATIONS: Final = 10
 
 
 class Message(NamedTuple):
@@ -64,7 +61,7 @@ class _Transfer:
 
     @property
     def timeout_ns(self) -> int:
-        return _NEGOTIATED_TIMEOUT_NS if self.negotiated else _BROADCAST_TIMEOUT_NS
+        return 1_250_000_000 if self.negotiated else 750_000_000
 
 
 _Key = tuple[str, int, int]
@@ -116,9 +113,9 @@ class Assembler:
         """Return what was put together and what was lost as text, nothing if there was neither."""
         if not self.assembled and not self.lost:
             return []
-        found = [f"{counted(self.assembled, 'message')} of the transport protocol put together"]
-        found += [f"not put together: {count}: {name}" for name, count in sorted(self.lost.items())]
-        return found + [f"  {location}" for location in self.locations]
+        lines = [f"{counted(self.assembled, 'message')} of the transport protocol put together"]
+        lines += [f"not put together: {count}: {name}" for name, count in sorted(self.lost.items())]
+        return lines + [f"  {location}" for location in self.locations]
 
     def _control(self, key: _Key, frame: LogFrame) -> None:
         data, kind = frame.data, frame.data[0]
@@ -172,7 +169,7 @@ class Assembler:
 
     def _lose(self, key: _Key, reason: str, transfer: _Transfer | None = None) -> None:
         self.lost[reason] += 1
-        if len(self.locations) < _MOST_LOCATIONS:
+        if len(self.locations) < 10:
             channel, source, destination = key
             what = f"PGN {transfer.pgn} of {transfer.size} bytes, " if transfer else ""
             sender = f"source {source:#04x} to {destination:#04x}"

@@ -14,11 +14,6 @@ from sil.replay.signals import NAMES, Options, SignalComparer, value_text, value
 
 RECORDED, REPLAYED = 0, 1
 CHAMBERS: Final = (Chamber.B, Chamber.N, Chamber.F)
-WARM_UP_NS: Final = 5_000_000_000
-"""A replay that begins in the middle of the control unit's work has to agree with it within this time."""
-
-MOST_STATES: Final = 200_000
-
 Side = Mapping[type, bytes]
 
 
@@ -55,7 +50,7 @@ class StateHistory:
     def take(self, side: int, time_ns: int, value: str) -> None:
         """Note the value of a side."""
         history = self.sides[side]
-        if (not history or history[-1][1] != value) and len(history) < MOST_STATES:
+        if (not history or history[-1][1] != value) and len(history) < 200_000:
             history.append((time_ns, value))
 
     def sequence(self, side: int) -> list[str]:
@@ -126,14 +121,18 @@ class Comparison:
             self.ticks += 1
         differing: list[tuple[str, str, str]] = []
         if self._options.time_ns:
-            self._waiting.extend((time_ns, kind, found) for kind, found in ours.items())
+            self._waiting.extend(
+                (time_ns, kind, message_values) for kind, message_values in ours.items()
+            )
             differing = self._compare_waiting(time_ns - self._options.time_ns)
         else:
-            for kind, found in ours.items():
+            for kind, message_values in ours.items():
                 if kind in recorded and recorded[kind] == replayed.get(kind):
                     self._count(kind)
                 else:
-                    differing += self._compare(time_ns, kind, found, self._held[REPLAYED].get(kind))
+                    differing += self._compare(
+                        time_ns, kind, message_values, self._held[REPLAYED].get(kind)
+                    )
         commands_part = self._part(time_ns, differing)
         self._switch(time_ns, commands_part)
 
@@ -145,16 +144,16 @@ class Comparison:
         self.excerpts.finish()
 
     def _read(self, side: int, sent: Side, time_ns: int) -> dict[type, tuple[Any, ...]]:
-        found: dict[type, tuple[Any, ...]] = {}
+        decoded_by_kind: dict[type, tuple[Any, ...]] = {}
         for kind, data in sent.items():
             decoded = values(kind, data)
             if decoded is None:
                 self.damaged[kind] += 1
                 continue
-            found[kind] = self._held[side][kind] = decoded
+            decoded_by_kind[kind] = self._held[side][kind] = decoded
             if side == REPLAYED and self._options.time_ns:
                 self._recent.setdefault(kind, deque()).append((time_ns, decoded))
-        return found
+        return decoded_by_kind
 
     def _warm(self, time_ns: int, ours: Mapping[type, tuple[Any, ...]]) -> bool:
         """Whether the sides agree by now, have had their time, or begin something."""
@@ -163,13 +162,13 @@ class Comparison:
         theirs = self._held[REPLAYED]
         status = ControllerStatus in ours
         agree = all(
-            kind in theirs and not self._judge.differing(kind, found, theirs[kind])
-            for kind, found in ours.items()
+            kind in theirs and not self._judge.differing(kind, message_values, theirs[kind])
+            for kind, message_values in ours.items()
         )
         busy = [any(self._valve_on(side, chamber) for chamber in CHAMBERS) for side in (0, 1)]
         begun = busy[REPLAYED] or (busy[RECORDED] and self._rested)  # a shift from its beginning
         self._rested |= bool(ours) and not busy[RECORDED]
-        if (status and agree) or begun or time_ns - self._warm_since > WARM_UP_NS:
+        if (status and agree) or begun or time_ns - self._warm_since > 5_000_000_000:
             self._warming = False
             return True
         self.warm_up_ticks += bool(ours)
@@ -186,8 +185,8 @@ class Comparison:
         self._count(kind)
         if theirs is None:
             theirs = (None,) * len(ours)
-        found = self._judge.differing(kind, ours, theirs)
-        for index, name in found:
+        differing = self._judge.differing(kind, ours, theirs)
+        for index, name in differing:
             entry = self.signals[name]
             entry.differing += 1
             if entry.first_ns is None:
@@ -195,7 +194,7 @@ class Comparison:
             a, b = ours[index], theirs[index]
             if isinstance(a, float) and isinstance(b, float):
                 entry.largest = max(entry.largest or 0.0, abs(a - b))
-        return [(name, value_text(ours[i]), value_text(theirs[i])) for i, name in found]
+        return [(name, value_text(ours[i]), value_text(theirs[i])) for i, name in differing]
 
     def _compare_waiting(self, until_ns: int) -> list[tuple[str, str, str]]:
         """Compare what was recorded up to a time with what the replay had around it."""
@@ -206,9 +205,13 @@ class Comparison:
             recent = self._recent.get(kind, deque())
             while len(recent) > 1 and recent[1][0] <= time_ns - around_ns:
                 recent.popleft()
-            near = [found for at_ns, found in recent if at_ns <= time_ns + around_ns]
+            near = [
+                message_values for at_ns, message_values in recent if at_ns <= time_ns + around_ns
+            ]
             best = min(
-                near, key=lambda found: len(self._judge.differing(kind, ours, found)), default=None
+                near,
+                key=lambda message_values: len(self._judge.differing(kind, ours, message_values)),
+                default=None,
             )
             if best is not None:  # each signal may have had its value at its own instant
                 best = tuple(

@@ -123,7 +123,7 @@ class MatchedEdges(NamedTuple):
             for (i, _), shift in zip(pairs, self.shift_ns, strict=True)
             if shift
         )
-        found = [
+        lines = [
             f"{signal.name} {signal.verb(up)} {shift_text(shift, period_ns)}, "
             f"{TIMES.get(count, f'{count} times')} out of {totals[up]}"
             for (up, shift), count in sorted(shifts.items(), key=lambda item: (-item[1], item[0]))
@@ -137,8 +137,8 @@ class MatchedEdges(NamedTuple):
                 if when:
                     times_s = ", ".join(f"{t:.6f}" for t in when[:5])
                     more = f" and {len(when) - 5} more" if len(when) > 5 else ""
-                    found.append(f"{signal.name} {signal.verb(up)} {what}, at {times_s} s{more}")
-        return found
+                    lines.append(f"{signal.name} {signal.verb(up)} {what}, at {times_s} s{more}")
+        return lines
 
     def as_dict(self, base_ns: int = 0) -> dict[str, Any]:
         """All of it as plain JSON values; times on the log's clock."""
@@ -169,9 +169,9 @@ class MatchedEdges(NamedTuple):
 
 def match_edges(signal: SwitchingSignal, window_ns: int) -> MatchedEdges:
     """Match the edges of a signal."""
-    found = match(signal.recorded, signal.replayed, window_ns)
-    shifts = [signal.replayed[j].time_ns - signal.recorded[i].time_ns for i, j in found.pairs]
-    return MatchedEdges(signal, found, shifts)
+    matching = match(signal.recorded, signal.replayed, window_ns)
+    shifts = [signal.replayed[j].time_ns - signal.recorded[i].time_ns for i, j in matching.pairs]
+    return MatchedEdges(signal, matching, shifts)
 
 
 def shift_text(shift_ns: int, period_ns: int) -> str:

@@ -11,7 +11,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import islice, takewhile
-from typing import Final
 
 from can_dbc.e2e import COUNTERS, PROTECTED
 from can_dbc.frame import Frame
@@ -22,11 +21,6 @@ from sil.replay.plant_side import PlantSide
 from sil.replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
 from sil.replay.signals import NAMES, value_text, values
 from sil.replay.ticks import Span, TickMap
-
-RECENT_INPUTS: Final = 12
-AHEAD_NS: Final = 10_000_000
-LATE_NS: Final = 1_000_000
-"""In a log recorded in real time, an input this short before a tick may have missed it."""
 
 
 @dataclass
@@ -118,7 +112,7 @@ class ReplayExecutor:
         self._same_grid = period_ns == ticks.grid.period_ns
         self._receives = receives
         self._plant = plant
-        self._ahead_ns = COUNTERS * self._grid.period_ns + AHEAD_NS
+        self._ahead_ns = COUNTERS * self._grid.period_ns + 10_000_000
         self._pending: deque[tuple[int, Frame]] = deque()
         self._answers: dict[int, dict[type, bytes]] = {}
         self._answered_ns: dict[int, int] = {}
@@ -126,7 +120,7 @@ class ReplayExecutor:
         self._next_recorded = 0
         self._next_ns = 0
         self._restarts = deque(ticks.restarts)
-        self._heard: deque[tuple[int, type, Frame]] = deque(maxlen=RECENT_INPUTS)
+        self._heard: deque[tuple[int, type, Frame]] = deque(maxlen=12)
         self.account = Account()
         self.steps = 0
         self.unanswered: Counter[str] = Counter()
@@ -263,12 +257,12 @@ class ReplayExecutor:
         if released is None:
             released = self._unit.step(now_ns, deliveries)
         self.steps += 1
-        found = by_kind(released)
+        answers = by_kind(released)
         if self._plant is not None:
-            self._plant.answered(now_ns, released, found, recorded)
+            self._plant.answered(now_ns, released, answers, recorded)
         if self._reference is None:
-            return found, None
-        return found, by_kind(self._reference.step(now_ns, deliveries))
+            return answers, None
+        return answers, by_kind(self._reference.step(now_ns, deliveries))
 
     def _arrived(self, until_ns: int) -> int:
         return sum(1 for _ in takewhile(lambda pending: pending[0] <= until_ns, self._pending))
@@ -282,7 +276,7 @@ class ReplayExecutor:
         have missed it, and one before the answers may have been in time. Returns how many of the
         pending inputs count, and the frames released; None for these if nothing is open.
         """
-        first = self._arrived(now_ns - LATE_NS)
+        first = self._arrived(now_ns - 1_000_000)
         last = max(self._arrived(self._answered_ns.pop(tick, now_ns)), in_time)
         before = self._unit.copy() if first < last else None
         if before is None:
@@ -293,8 +287,8 @@ class ReplayExecutor:
             unit = before.copy() or before
             inputs = [(min(t, now_ns), f) for t, f in islice(self._pending, count)]
             released = unit.step(now_ns, inputs)
-            found = by_kind(released)
-            if all(found.get(kind) == answer for kind, answer in recorded.items()):
+            answers = by_kind(released)
+            if all(answers.get(kind) == answer for kind, answer in recorded.items()):
                 self._unit = unit
                 self.moved_inputs += abs(count - in_time)
                 return count, released
@@ -306,17 +300,17 @@ class ReplayExecutor:
 
 def by_kind(released: Iterable[Frame]) -> dict[type, bytes]:
     """Return the data of released frames by message type, without counter and checksum."""
-    found: dict[type, bytes] = {}
+    answers: dict[type, bytes] = {}
     for can_id, data in released:
         kind = OWN_IDS.get(can_id)
         if kind is not None:
-            found[kind] = bare(kind, data)
-    return found
+            answers[kind] = bare(kind, data)
+    return answers
 
 
 def _input_text(kind: type, frame: Frame) -> str:
-    found = values(kind, frame.data) if is_intact(kind, frame) else None
-    if found is None:
+    signal_values = values(kind, frame.data) if is_intact(kind, frame) else None
+    if signal_values is None:
         return f"{kind.__name__} damaged: {frame.data.hex().upper()}"
-    named = zip((name.split(".")[1] for name in NAMES[kind]), found, strict=True)
+    named = zip((name.split(".")[1] for name in NAMES[kind]), signal_values, strict=True)
     return f"{kind.__name__}: {', '.join(f'{name} {value_text(value)}' for name, value in named)}"

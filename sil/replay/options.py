@@ -18,9 +18,6 @@ from sil.replay.tick_grid import Survey
 from sil.simulation import load_scenario, scenario
 from sil.simulation.load_scenario import Loaded
 
-LARGEST_RESULT = 64 << 20
-"""Bytes; that of a run of an hour is far smaller."""
-
 
 @dataclass(frozen=True)
 class ReplaySettings:
@@ -39,7 +36,7 @@ class ReplaySettings:
 
 def find_settings(
     log: str,
-    found: Survey,
+    log_head: Survey,
     *,
     firmware: str | None = None,
     settings: Settings = NO_SETTINGS,
@@ -57,11 +54,11 @@ def find_settings(
     result = _read_result(path) if path.is_file() else {}
     own_run = run is not None or bool(result)
     if own_run:
-        given = load_scenario.load(run or str(path))
-        source, raw = given.source, scenario.expanded(given.scenario)
+        run_scenario = load_scenario.load(run or str(path))
+        source, raw = run_scenario.source, scenario.expanded(run_scenario.scenario)
         description = f"as in {source}"
     else:
-        source, raw = log, _defaults(found)
+        source, raw = log, _defaults(log_head)
         description = f"defaults, {_periods(raw)} from the log"
     recorded_ns = round(raw["controller"]["period_s"] * 1e9)
     if firmware is not None:
@@ -107,7 +104,7 @@ def firmware_of(firmware: str) -> dict[str, Any]:
 
 def _read_result(path: str | Path) -> dict[str, Any]:
     """Return the content of a result.json, nothing if there is no scenario in it. Raises InputError."""
-    text = read_user_text(path, "a result.json", LARGEST_RESULT)
+    text = read_user_text(path, "a result.json", (64 << 20))
     try:
         result: dict[str, Any] = json.loads(text)
         return result if isinstance(result["scenario"], dict) else {}
@@ -115,15 +112,15 @@ def _read_result(path: str | Path) -> dict[str, Any]:
         return {}
 
 
-def _defaults(found: Survey) -> dict[str, Any]:
+def _defaults(log_head: Survey) -> dict[str, Any]:
     raw: dict[str, Any] = {"name": "replay", "duration_s": 1.0, "request": [], "controller": {}}
-    if found.period_ns is not None and 2_000_000 <= found.period_ns <= 20_000_000:
-        raw["controller"]["period_s"] = found.period_ns / 1e9
+    if log_head.period_ns is not None and 2_000_000 <= log_head.period_ns <= 20_000_000:
+        raw["controller"]["period_s"] = log_head.period_ns / 1e9
     else:
         raw["controller"]["period_s"] = 0.01
-    if found.gear is not None:
-        raw["initial_gear"] = found.gear.name.lower()
-    sensor_ns = found.sensor_period_ns
+    if log_head.gear is not None:
+        raw["initial_gear"] = log_head.gear.name.lower()
+    sensor_ns = log_head.sensor_period_ns
     if sensor_ns is not None and 1_000_000 <= sensor_ns <= 40_000_000:
         raw["sensor"] = {"period_s": sensor_ns / 1e9}
     return raw

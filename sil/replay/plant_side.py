@@ -33,7 +33,6 @@ ENGINE_REQUEST: Final = can_id_of(Tsc1)
 """What else the plant takes, from a vehicle around it."""
 
 MOST_POSITIONS: Final = 200_000
-_LATE_NS: Final = 60_000_000
 
 
 class Position(NamedTuple):
@@ -164,9 +163,9 @@ class PlantSide:
             if self.closed_ns is None:
                 self._released[kind].append((release_ns, frame.data))
             if kind is PlantMotion and len(self.positions) < MOST_POSITIONS:
-                found = values(kind, frame.data)
-                assert found is not None  # our own encoding
-                self.positions.append(Position(release_ns, float("nan"), found[0]))
+                message_values = values(kind, frame.data)
+                assert message_values is not None  # our own encoding
+                self.positions.append(Position(release_ns, float("nan"), message_values[0]))
             if self._closes:
                 self._bus.queue(release_ns, frame, "plant")
 
@@ -201,14 +200,16 @@ class PlantSide:
             if recorded is None or replayed is None:
                 self.unmatched += 1
                 continue
-            found = self._judge.differing(kind, recorded, replayed)
-            if not found:
+            differing = self._judge.differing(kind, recorded, replayed)
+            if not differing:
                 continue
             self.differing += 1
-            parts = [(name, value_text(recorded[i]), value_text(replayed[i])) for i, name in found]
+            parts = [
+                (name, value_text(recorded[i]), value_text(replayed[i])) for i, name in differing
+            ]
             if self.first is None:
                 self.first = Difference(time_ns, parts, [])
-            for index, name in found:
+            for index, name in differing:
                 a, b = recorded[index], replayed[index]
                 if isinstance(a, float) and isinstance(b, float):
                     self.largest[name] = max(self.largest.get(name, 0.0), abs(a - b))
@@ -221,7 +222,7 @@ class PlantSide:
         """
         sent_ns = time_ns - frame_bits(ID_OF[kind], data) * self._bit_ns + self._slack_ns
         released = self._released[kind]
-        while released and released[0][0] < time_ns - _LATE_NS:
+        while released and released[0][0] < time_ns - 60_000_000:
             released.popleft()
         best, chosen = -1, None
         for index, (release_ns, ours) in enumerate(released):
@@ -234,15 +235,15 @@ class PlantSide:
                 best, chosen = likeness, index
         if chosen is None:
             return None
-        found = released[chosen][1]
+        partner = released[chosen][1]
         del released[chosen]
-        return found
+        return partner
 
     def _note_position(self, time_ns: int, data: bytes) -> None:
-        found = values(PlantMotion, data)
+        message_values = values(PlantMotion, data)
         index = bisect_right(self.positions, time_ns, key=lambda p: p.time_ns) - 1
-        if found is not None and index >= 0:
-            self.positions[index] = self.positions[index]._replace(recorded_m=found[0])
+        if message_values is not None and index >= 0:
+            self.positions[index] = self.positions[index]._replace(recorded_m=message_values[0])
 
     def as_dict(self, base_ns: int) -> dict[str, object]:
         """All of it as plain JSON values; times on the log's clock."""

@@ -28,9 +28,6 @@ REORDERED_NS: Final = 50_000_000
 """Frames out of order by no more than this are taken as of the latest time before them."""
 
 
-_WATCHED: Final = 16
-
-
 class Arrival(NamedTuple):
     """A data frame of the log; `kind` is its message type, None for a foreign one."""
 
@@ -80,7 +77,7 @@ class RecordedFrames:
             elif entry in instant:  # no bus carries a frame twice at once: two recordings in one
                 self.counts["frames that are there twice"] += 1
                 continue
-            if len(instant) < _WATCHED:
+            if len(instant) < 16:
                 instant.append(entry)
             last_ns = self.last_ns = time_ns
             if entry.error or entry.remote or entry.fd or not entry.extended:

@@ -34,9 +34,6 @@ ESTIMATE = "ControllerStatus.estimate_m"
 FORGOTTEN_M = 1e-6
 """What the filter still remembers of the motion before a replay begun in the middle, at most."""
 
-BEFORE_FRAMES = 500
-"""Frames before the first valve command that the survey sees, too."""
-
 
 @dataclass(frozen=True)
 class ReplayRequest:
@@ -75,8 +72,11 @@ class ReplayResult:
     notes: list[str] = field(default_factory=list)
 
     def _repr_html_(self) -> str:
-        found = self.comparison
-        rows = [("ticks compared", found.ticks), ("ticks that differ", found.differing_ticks)]
+        comparison = self.comparison
+        rows = [
+            ("ticks compared", comparison.ticks),
+            ("ticks that differ", comparison.differing_ticks),
+        ]
         return html_table(
             f"{self.request.log}", ("", ""), [*rows, *(("note", n) for n in self.notes)]
         )
@@ -192,7 +192,7 @@ class _Log:
     def _read_beginning(self) -> list[LogFrame]:
         """Read on to the first valve command, and some more; choose the channel."""
         valves = {can_id for can_id, kind in self._ids.items() if kind is ValveCommand}
-        before: deque[LogFrame] = deque(maxlen=BEFORE_FRAMES)
+        before: deque[LogFrame] = deque(maxlen=500)  # frames that the survey sees, too
         frames: list[LogFrame] = []
         entries = iter(self.reader)
         first: LogFrame | None = None
@@ -217,32 +217,32 @@ class _Log:
 
 def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
     """Return the settings, and the ticks of the recorded control unit. Raises InputError without any."""
-    found = survey(log.head())
+    log_head = survey(log.head())
     ready = find_settings(
         request.log,
-        found,
+        log_head,
         firmware=request.firmware,
         settings=request.settings,
         run=request.run,
         with_plant=request.plant or request.closed_loop,
     )
     scene = ready.loaded.scenario
-    if found.skew and not ready.own_run:
-        log.skew = (found.first_ns, found.skew)
-        found = survey(log.head())
+    if log_head.skew and not ready.own_run:
+        log.skew = (log_head.first_ns, log_head.skew)
+        log_head = survey(log.head())
     if ready.free_running:
-        found = survey(log.head(), period_ns=ready.recorded_ns)
-    elif found.bitrate is None and ready.own_run:
-        found = survey(log.head(), scene.bus.bitrate)
-    period_ns = found.period_ns or ready.recorded_ns
+        log_head = survey(log.head(), period_ns=ready.recorded_ns)
+    elif log_head.bitrate is None and ready.own_run:
+        log_head = survey(log.head(), scene.bus.bitrate)
+    period_ns = log_head.period_ns or ready.recorded_ns
     if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
         period_ns = ready.recorded_ns
-    if found.release_ns is None:
+    if log_head.release_ns is None:
         raise InputError(
             f"{request.log}: the steps of the recorded control unit cannot be found; expected its valve commands "
             "and status at regular times"
         )
-    grid = make_grid(found, period_ns, scene.controller.computation_ns, ready.free_running)
+    grid = make_grid(log_head, period_ns, scene.controller.computation_ns, ready.free_running)
     return ready, grid
 
 

@@ -72,14 +72,14 @@ def report(outcome: ReplayResult | TruckReplay) -> Report:
 
 def verdict(outcome: ReplayResult) -> str:
     """Return the one line that says it all."""
-    found = outcome.comparison
-    if not found.differs:
-        text = f"no difference in {counted(found.ticks, 'tick')}"
+    comparison = outcome.comparison
+    if not comparison.differs:
+        text = f"no difference in {counted(comparison.ticks, 'tick')}"
         if outcome.request.reference is not None:
             text += f" between the firmware here and that of {outcome.labels[0]}"
     else:
-        signals = sum(1 for entry in found.signals.values() if entry.differing)
-        text = f"{found.differing_ticks} of {counted(found.ticks, 'tick')} differ, in {counted(signals, 'signal')}"
+        signals = sum(1 for entry in comparison.signals.values() if entry.differing)
+        text = f"{comparison.differing_ticks} of {counted(comparison.ticks, 'tick')} differ, in {counted(signals, 'signal')}"
     if outcome.plant is not None and outcome.request.plant:
         text += f"; {attribution(outcome)}"
     return text
@@ -106,8 +106,8 @@ def attribution(outcome: ReplayResult) -> str:
 def edge_lines(outcome: ReplayResult) -> list[str]:
     """Say which edges moved, are gone or new."""
     grid = outcome.grid
-    found = [r for r in outcome.comparison.matched_edges() if r.moved(0)]
-    return [line for r in found for line in r.lines(grid.period_ns, grid.origin_ns)]
+    moved = [r for r in outcome.comparison.matched_edges() if r.moved(0)]
+    return [line for r in moved for line in r.lines(grid.period_ns, grid.origin_ns)]
 
 
 def summary_lines(outcome: ReplayResult) -> list[str]:
@@ -129,9 +129,9 @@ def summary_lines(outcome: ReplayResult) -> list[str]:
 
 def text(outcome: ReplayResult) -> str:
     """Return diff.txt."""
-    grid, found = outcome.grid, outcome.comparison
+    grid, comparison = outcome.grid, outcome.comparison
     edges = edge_lines(outcome)
-    total = sum(len(signal.recorded) for signal in found.switches)
+    total = sum(len(signal.recorded) for signal in comparison.switches)
     lines = [
         f"replay of {outcome.request.log}",
         f"firmware  {outcome.settings.description}",
@@ -143,15 +143,15 @@ def text(outcome: ReplayResult) -> str:
         "",
         "states",
     ]
-    for history in found.states:
+    for history in comparison.states:
         lines += _indented([_sequences(history, outcome.labels)])
         lines += _indented(_state_times(history, outcome), 4)
-    lines += ["", *_difference_lines(outcome, "first difference", found.first)]
-    if found.first_command is not None and found.first_command != found.first:
-        lines += _difference_lines(outcome, "first command that differs", found.first_command)
+    lines += ["", *_difference_lines(outcome, "first difference", comparison.first)]
+    if comparison.first_command is not None and comparison.first_command != comparison.first:
+        lines += _difference_lines(outcome, "first command that differs", comparison.first_command)
     if outcome.plant is not None:
         lines += ["plant", *_indented(plant_lines(outcome)), ""]
-    for scene in found.excerpts.excerpts:
+    for scene in comparison.excerpts.excerpts:
         lines.append(f"waveforms, commands {'differ' if scene.differs else 'are equal'}")
         lines += _indented(waveforms(scene, outcome.labels, grid.origin_ns))
     lines += ["signals", *_indented(_signal_lines(outcome)), "", "frames"]
@@ -167,7 +167,7 @@ def _indented(lines: Iterable[str], width: int = 2) -> list[str]:
 
 def as_dict(outcome: ReplayResult) -> dict[str, Any]:
     """Return diff.json; times in s on the log's clock."""
-    grid, found = outcome.grid, outcome.comparison
+    grid, comparison = outcome.grid, outcome.comparison
     base_ns = grid.origin_ns
     account = outcome.account
     return {
@@ -185,16 +185,16 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
             "exact": grid.exact,
             "text": grid.description,
         },
-        "ticks": found.ticks,
-        "differing_ticks": found.differing_ticks,
-        "warm_up_ticks": found.warm_up_ticks,
+        "ticks": comparison.ticks,
+        "differing_ticks": comparison.differing_ticks,
+        "warm_up_ticks": comparison.warm_up_ticks,
         "edges": [
             result.as_dict(base_ns) | {"text": result.lines(grid.period_ns, base_ns)}
-            for result in found.matched_edges()
+            for result in comparison.matched_edges()
         ],
-        "states": [_history(history, base_ns) for history in found.states],
-        "first": _difference_dict(found.first, base_ns),
-        "first_command": _difference_dict(found.first_command, base_ns),
+        "states": [_history(history, base_ns) for history in comparison.states],
+        "first": _difference_dict(comparison.first, base_ns),
+        "first_command": _difference_dict(comparison.first_command, base_ns),
         "signals": {
             name: {
                 "compared": entry.compared,
@@ -202,7 +202,7 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
                 "largest": entry.largest,
                 "first_s": None if entry.first_ns is None else (entry.first_ns + base_ns) / 1e9,
             }
-            for name, entry in sorted(found.signals.items())
+            for name, entry in sorted(comparison.signals.items())
         },
         "plant": None
         if outcome.plant is None
@@ -336,10 +336,10 @@ def account_lines(outcome: ReplayResult) -> list[str]:
 
 
 def _history(history: StateHistory, base_ns: int) -> dict[str, Any]:
-    found: dict[str, Any] = {"name": history.name, "differs": history.differs}
+    values: dict[str, Any] = {"name": history.name, "differs": history.differs}
     for side, changes in zip(("recorded", "replayed"), history.sides, strict=True):
-        found[side] = [{"time_s": (ns + base_ns) / 1e9, "value": name} for ns, name in changes]
-    return found
+        values[side] = [{"time_s": (ns + base_ns) / 1e9, "value": name} for ns, name in changes]
+    return values
 
 
 def _difference_dict(parting: Difference | None, base_ns: int) -> dict[str, Any] | None:
@@ -462,7 +462,7 @@ def truck_text(replay: TruckReplay) -> str:
 def truck_dict(replay: TruckReplay) -> dict[str, Any]:
     """Return diff.json; times of a shift in s after its request."""
     log = replay.log
-    found: dict[str, Any] = finite(
+    values: dict[str, Any] = finite(
         {
             "format": 1,
             "log": log.path,
@@ -479,7 +479,7 @@ def truck_dict(replay: TruckReplay) -> dict[str, Any]:
             "notes": replay.notes,
         }
     )
-    return found
+    return values
 
 
 def _shift_dict(shift: ComparedShift) -> dict[str, Any]:

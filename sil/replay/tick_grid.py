@@ -137,8 +137,8 @@ def survey(
 
     Checked by: tests/unit/sil/replay/test_tick_grid.py
     """
-    found_bitrate = bitrate or _bitrate(arrivals)
-    bit_ns = NS_PER_S // (found_bitrate or DEFAULT_BITRATE)
+    shown_bitrate = bitrate or _bitrate(arrivals)
+    bit_ns = NS_PER_S // (shown_bitrate or DEFAULT_BITRATE)
     bounds = _bounds(arrivals, bit_ns)
     period_ns = period_ns or _period(bounds)
     release_ns = None
@@ -152,7 +152,7 @@ def survey(
     gears = (Gear(f.data[2] & 3) for f in reports if is_intact(ControllerStatus, f))
     return Survey(
         first_ns=arrivals[0].time_ns if arrivals else 0,
-        bitrate=found_bitrate,
+        bitrate=shown_bitrate,
         period_ns=period_ns,
         sensor_period_ns=_period(
             [
@@ -275,14 +275,14 @@ def _skew(bounds: Sequence[tuple[int, int]], period_ns: int) -> float:
     first, *between, last = (min(late[k * size : (k + 1) * size]) for k in range(SKEW_WINDOWS))
     slope = (last[0] - first[0]) / (last[1] - first[1])
     off_ns = max(abs(ns - first[0] - slope * (k - first[1])) for ns, k in between)
-    found = slope / period_ns
-    if abs(last[0] - first[0]) < 10_000 + 4 * off_ns or not 2e-6 < abs(found) < 2e-3:
+    drift = slope / period_ns
+    if abs(last[0] - first[0]) < 10_000 + 4 * off_ns or not 2e-6 < abs(drift) < 2e-3:
         return 0.0
-    return found
+    return drift
 
 
 def make_grid(
-    found: Survey, period_ns: int, computation_ns: int, free_running: bool = False
+    log_head: Survey, period_ns: int, computation_ns: int, free_running: bool = False
 ) -> Grid:
     """Return the ticks of the recorded unit. `computation_ns`: from a tick to its release.
 
@@ -291,29 +291,29 @@ def make_grid(
     Raises ValueError when the survey found no tick.
     Checked by: tests/unit/sil/replay/test_tick_grid.py
     """
-    if found.release_ns is None:
+    if log_head.release_ns is None:
         raise ValueError("no tick in the survey")
-    bitrate = found.bitrate or DEFAULT_BITRATE
-    tick_ns = found.release_ns - computation_ns
+    bitrate = log_head.bitrate or DEFAULT_BITRATE
+    tick_ns = log_head.release_ns - computation_ns
     late_ns = tick_ns % period_ns
-    slack_ns = max(found.resolution_ns, 2) if found.resolution_ns > 1000 else 0
-    relative = 0 < found.first_ns < NS_PER_S and not free_running
+    slack_ns = max(log_head.resolution_ns, 2) if log_head.resolution_ns > 1000 else 0
+    relative = 0 < log_head.first_ns < NS_PER_S and not free_running
     if relative and (late_ns <= BLOCKED_NS or period_ns - late_ns <= slack_ns):
         tick_ns = (
             round(tick_ns / period_ns) * period_ns if late_ns > BLOCKED_NS else tick_ns - late_ns
         )
-        exact = found.resolution_ns <= 1000
+        exact = log_head.resolution_ns <= 1000
         how = "the log's own clock"
     else:
-        exact = found.bitrate is not None and found.resolution_ns <= 1000
-        how = f"the earliest of {found.bounds} valve commands and blows"
-    first_tick_ns = tick_ns - found.first_counter * period_ns
-    fresh = not found.awake and first_tick_ns >= found.first_ns - period_ns
+        exact = log_head.bitrate is not None and log_head.resolution_ns <= 1000
+        how = f"the earliest of {log_head.bounds} valve commands and blows"
+    first_tick_ns = tick_ns - log_head.first_counter * period_ns
+    fresh = not log_head.awake and first_tick_ns >= log_head.first_ns - period_ns
     origin_ns = first_tick_ns if fresh else tick_ns
-    speed = f"{bitrate // 1000} kbit/s" + ("" if found.bitrate else " assumed")
-    rounded = found.resolution_ns > 1000
+    speed = f"{bitrate // 1000} kbit/s" + ("" if log_head.bitrate else " assumed")
+    rounded = log_head.resolution_ns > 1000
     error = (
-        f"to {found.resolution_ns / 1e6:g} ms"
+        f"to {log_head.resolution_ns / 1e6:g} ms"
         if rounded
         else "as well as its scattered times allow"
     )

@@ -11,18 +11,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from can_dbc.e2e import COUNTERS, PROTECTED
 from sil.replay.recorded_frames import OUTPUTS, Arrival, counter_of, is_intact
 from sil.replay.tick_grid import Grid
-
-HOLE_NS: Final = 2_000_000_000
-"""Nothing at all on the bus for this long is a hole in the recording."""
-
-
-DELAYED_ANSWERS: Final = 48
-"""In real time, so many answers later (some 16 ticks) a delay is made up for."""
 
 
 class Span(NamedTuple):
@@ -94,26 +87,26 @@ def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:
 
     Checked by: tests/unit/sil/replay/test_ticks.py
     """
-    found = TickMap(grid)
+    tick_map = TickMap(grid)
     active: int | None = None
     latest: dict[type, tuple[int, int]] = {}
     for answer, tick in _with_ticks(_protected_answers(arrivals), grid):
         kind, counter = answer.kind, answer.counter
         if active is None:
-            found.count_from(max(tick, 0), (counter - min(tick, 0)) % COUNTERS)
+            tick_map.count_from(max(tick, 0), (counter - min(tick, 0)) % COUNTERS)
             if grid.fresh and tick > 0:  # its first frames were lost
-                found.count_from(0, (counter - tick) % COUNTERS)
+                tick_map.count_from(0, (counter - tick) % COUNTERS)
         elif answer.after_hole:
-            found.idle.append(Span(active + 1, tick))
-            found.restarts.append(tick)
-            found.count_from(tick, counter)
+            tick_map.idle.append(Span(active + 1, tick))
+            tick_map.restarts.append(tick)
+            tick_map.count_from(tick, counter)
             latest.clear()
         elif tick > active + 1 and kind in latest:
-            _judge_silence(found, active, tick, counter, latest[kind])
+            _judge_silence(tick_map, active, tick, counter, latest[kind])
         active = tick if active is None else max(active, tick)
         latest[kind] = (tick, counter)
-    found.last = -1 if active is None else active
-    return found
+    tick_map.last = -1 if active is None else active
+    return tick_map
 
 
 class _Answer(NamedTuple):
@@ -129,7 +122,9 @@ def _protected_answers(arrivals: Iterable[Arrival]) -> Iterator[_Answer]:
     last_ns: int | None = None
     hole = False
     for arrival in arrivals:
-        hole |= last_ns is not None and arrival.time_ns - last_ns > HOLE_NS
+        hole |= (
+            last_ns is not None and arrival.time_ns - last_ns > 2_000_000_000
+        )  # nobody on the bus
         last_ns = arrival.time_ns
         kind = arrival.kind
         if kind in OUTPUTS and kind in PROTECTED and is_intact(kind, arrival.frame):
@@ -159,7 +154,7 @@ def _with_ticks(answers: Iterable[_Answer], grid: Grid) -> Iterator[tuple[_Answe
         step += COUNTERS * round((tick - before - step) / COUNTERS)
         counted, before = counted + step, tick
         waiting.append((answer, counted, tick - counted))
-        yield from _undelayed(waiting, DELAYED_ANSWERS)
+        yield from _undelayed(waiting, 48)
     yield from _undelayed(waiting, 0)
 
 
@@ -173,17 +168,17 @@ def _undelayed(
 
 
 def _judge_silence(
-    found: TickMap, active: int, tick: int, counter: int, before: tuple[int, int]
+    tick_map: TickMap, active: int, tick: int, counter: int, before: tuple[int, int]
 ) -> None:
     """Decide what the control unit did between `active` and `tick`, of which nothing is in the log."""
     passed = tick - before[0]
     steps = (counter - before[1]) % COUNTERS
     if steps == passed % COUNTERS:
         if tick - active > 2:
-            found.off_bus.append(Span(active + 1, tick))
+            tick_map.off_bus.append(Span(active + 1, tick))
         return
     missed = min(passed - steps, tick - active - 1)
     if missed < 1:  # a frame that was delayed
         return
-    found.idle.append(Span(active + 1, active + 1 + missed))
-    found.count_from(active + 1 + missed, (counter - (tick - active - 1 - missed)) % COUNTERS)
+    tick_map.idle.append(Span(active + 1, active + 1 + missed))
+    tick_map.count_from(active + 1 + missed, (counter - (tick - active - 1 - missed)) % COUNTERS)

@@ -28,9 +28,7 @@ from sil.shifts.reported import PGN_ETC1, PGN_ETC2
 SHAFT_SPEEDS: Final[tuple[Meaning, ...]] = ("input_shaft_rad_s", "output_shaft_rad_s")
 GEARS: Final[tuple[Meaning, ...]] = ("current_gear", "selected_gear")
 _FLAG_AND_SPEEDS: Final[tuple[Meaning, ...]] = ("shift_in_process", *SHAFT_SPEEDS)
-_ETC_SPEED_RAD_S: Final = 0.125 * pi / 30.0
 _ETC_NOT_AVAILABLE: Final = 0xFFFF
-_MOST_IDENTIFIERS: Final = 20_000
 _Taker = Callable[[LogFrame], None]
 
 
@@ -101,7 +99,7 @@ class TruckLog:
                 if is_data_of(frame, stop_id):
                     return False
                 of_frame = self._takers(finder, *key)
-                if len(takers) < _MOST_IDENTIFIERS:
+                if len(takers) < 20_000:
                     takers[key] = of_frame
             for take in of_frame:
                 take(frame)
@@ -272,7 +270,7 @@ def _etc1(known: dict[Meaning, float]) -> bytes:
 
 
 def _word(speed_rad_s: float | None) -> Sequence[int]:
-    raw = _ETC_NOT_AVAILABLE if speed_rad_s is None else round(speed_rad_s / _ETC_SPEED_RAD_S)
+    raw = _ETC_NOT_AVAILABLE if speed_rad_s is None else round(speed_rad_s / (0.125 * pi / 30.0))
     return (raw if 0 <= raw <= 0xFAFF else _ETC_NOT_AVAILABLE).to_bytes(2, "little")
 
 

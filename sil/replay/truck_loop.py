@@ -27,9 +27,6 @@ REQUEST_S: Final = 0.4
 """Simulated time of our request: the firmware is ready, and a request frame is due."""
 
 ALIGNED: Final = "as the gear is left"
-LONGEST_RUN_S: Final = 8.0
-_SETTLED_S: Final = 2.6
-
 PULL_N, MESH_N = 100.0, 500.0
 """Forces of teeth without torque, and of meshing: those of the scenarios truck_*_easy."""
 
@@ -98,7 +95,7 @@ def inputs_of(recorded: RecordedShift) -> list[Input]:
     if before == after:
         before = "backward" if after == "forward" else "forward"
         text = f"gear {shift.from_gear}: the opposite side, though the parity is the same"
-    found = [
+    shift_inputs = [
         Input("initial_gear", before, "default", text),
         Input("request.gear", after, "default", f"gear {shift.to_gear}"),
         _request(recorded),
@@ -106,7 +103,7 @@ def inputs_of(recorded: RecordedShift) -> list[Input]:
         _pull(recorded),
         Input("plant.mesh_force_n", MESH_N, "default", "not recorded; as in truck_into_gear_easy"),
     ]
-    return found + _driveline(recorded)
+    return shift_inputs + _driveline(recorded)
 
 
 def _request(recorded: RecordedShift) -> Input:
@@ -123,14 +120,14 @@ def _request(recorded: RecordedShift) -> Input:
 
 
 def _supply(recorded: RecordedShift) -> Input:
-    path, found = "plant.supply_pressure_pa", recorded.signals["supply_pressure_pa"]
-    if found is None:
+    path, pressure = "plant.supply_pressure_pa", recorded.signals["supply_pressure_pa"]
+    if pressure is None:
         return Input(path, "nominal", "default", "no supply pressure in the log; the model's")
-    value = float(np.median(found.values))
+    value = float(np.median(pressure.values))
     if not SUPPLY_PA[0] <= value <= SUPPLY_PA[1]:
-        text = f"{found.origin}: {value * 1e-5:.2f} bar is no working pressure; the model's"
+        text = f"{pressure.origin}: {value * 1e-5:.2f} bar is no working pressure; the model's"
         return Input(path, "nominal", "default", text)
-    return Input(path, value, "log", found.origin)
+    return Input(path, value, "log", pressure.origin)
 
 
 def _pull(recorded: RecordedShift) -> Input:
@@ -154,7 +151,7 @@ def _driveline(recorded: RecordedShift) -> list[Input]:
     if sync is None:
         text = "speeds of this shift not known; the driveline's defaults"
         return [Input("driveline", "defaults", "default", text)]
-    found = [
+    driveline_inputs = [
         Input(
             "driveline.output_rad_s", sync.main_rad_s, "derived",
             f"main shaft: median output speed * {sync.main_by_output:g}, the range section's ratio "
@@ -169,16 +166,19 @@ def _driveline(recorded: RecordedShift) -> list[Input]:
         after = recorded.times_s["synchronised"] or 0.0
         value = float(np.interp(after, sync.time_s, sync.difference_rad_s))
         text = "speed difference at our request"
-        return [found[0], Input("driveline.residual_rad_s", value, "log", text)]
+        return [driveline_inputs[0], Input("driveline.residual_rad_s", value, "log", text)]
     if sync.ramp_rad_s2 is None or sync.delay_s is None:
         text = "fall of the difference not known; the driveline's default"
-        return [*found, Input("driveline.engine_ramp_rad_s2", "default", "default", text)]
+        return [
+            *driveline_inputs,
+            Input("driveline.engine_ramp_rad_s2", "default", "default", text),
+        ]
     fall = (
         "straight line through the recorded difference, 90 to 10 %, at most "
         f"{sync.apart_rad_s:.1f} rad/s apart; taken as the engine's alone"
     )
     return [
-        *found,
+        *driveline_inputs,
         Input("driveline.engine_delay_s", sync.delay_s, "derived", "from leaving the gear on"),
         Input("driveline.engine_ramp_rad_s2", sync.ramp_rad_s2, "derived", fall),
     ]
@@ -197,7 +197,7 @@ def scenario_of(inputs: Sequence[Input]) -> dict[str, Any]:
     falls_s += table["driveline"].get("engine_delay_s", 0.0)
     return table | {
         "name": "shift of a truck's log",
-        "duration_s": min(REQUEST_S + _SETTLED_S + falls_s, LONGEST_RUN_S),
+        "duration_s": min(REQUEST_S + 2.6 + falls_s, 8.0),
         "initial_gear": known["initial_gear"],
         "request": [{"at_s": REQUEST_S, "gear": known["request.gear"]}],
         "controller": {},
@@ -240,8 +240,8 @@ def _measured(
     started = time >= REQUEST_S
 
     def first(condition: NDArray[np.bool_]) -> float | None:
-        found = time[started & condition]
-        return float(found[0]) + offset_s if len(found) else None
+        instants = time[started & condition]
+        return float(instants[0]) + offset_s if len(instants) else None
 
     times: dict[str, float | None] = {"torque_cut": recorded.times_s["torque_cut"]}
     from_gear, to_gear = bool(recorded.shift.from_gear), bool(recorded.shift.to_gear)

@@ -41,23 +41,12 @@ POSSIBLE_RATIOS: Final = (0.2, 40.0)
 SLOWEST_RAD_S: Final = 2.1
 """Output speed (20 rpm) below which a ratio means nothing."""
 
-LEAST_STEP: Final = 0.03
-"""Ratios that differ by less than this share are the same."""
-
-LEAST_MOTION: Final = 0.01
-"""A smaller change of the speed ratio, or one within its scatter before, is no disengagement."""
-
 LEAST_TORQUE: Final = 0.1
 """A change of the engine's torque by less than this share of the reference torque is none."""
-
-SHORTEST_FALL_S: Final = 0.01
-"""A fall of the speed difference between two samples is taken to last as long as ETC1's period."""
 
 SYNCHRONISED_RAD_S: Final = 2.0
 LONGEST_GAP_S: Final = 0.35
 """A longer time without the transmission's frames is a gap: ETC2 comes every 0.1 s."""
-
-MEANINGS: Final[tuple[Meaning, ...]] = get_args(Meaning)
 
 
 @dataclass(frozen=True)
@@ -139,21 +128,21 @@ def recorded_shift(log: TruckLog, shift: Shift) -> RecordedShift:
             notes.append("request: when the selected gear changed, before the shift in process")
     if request_ns == shift.start_ns:
         notes.append("request: the start of the shift in process, no earlier sign of it recorded")
-    signals = {meaning: samples(meaning, request_ns) for meaning in MEANINGS}
+    signals = {meaning: samples(meaning, request_ns) for meaning in get_args(Meaning)}
     gap_s = log.gap_s(shift, shift.start_ns - round(0.1e9), shift.end_ns + round(0.1e9))
     if gap_s > LONGEST_GAP_S:
         notes.append(f"{gap_s:.2f} s without frames of the transmission inside: not in the figures")
     end_s = (shift.end_ns - request_ns) / 1e9
     times: dict[str, float | None] = dict.fromkeys(PHASES)
-    found = RecordedShift(
+    recorded = RecordedShift(
         shift, request_ns, end_s, signals, times, {}, None, gap_s <= LONGEST_GAP_S, notes
     )
     start_s = (shift.start_ns - request_ns) / 1e9
-    _speeds(found, start_s, log.mapping.gearbox)
-    _reported_gears(found)
-    _fit_ramp(found)
-    _torque(found)
-    return found
+    _speeds(recorded, start_s, log.mapping.gearbox)
+    _reported_gears(recorded)
+    _fit_ramp(recorded)
+    _torque(recorded)
+    return recorded
 
 
 def _selected_before(selected: Samples, gear: int) -> float:
@@ -166,24 +155,24 @@ def _selected_before(selected: Samples, gear: int) -> float:
     return 0.0
 
 
-def _set(found: RecordedShift, phase: str, times: Floats, index: int) -> None:
+def _set(recorded: RecordedShift, phase: str, times: Floats, index: int) -> None:
     """Set an instant to that of a sample, unless its sender was silent before it."""
     before = max(index, 1)
     spacing_s = float(times[before] - times[before - 1]) if len(times) > 1 else np.inf
     if spacing_s > LONGEST_GAP_S:
-        found.notes.append(
+        recorded.notes.append(
             f"{NAMES[phase]}: not known, its sender was silent for {spacing_s:.2f} s"
         )
-        found.times_s[phase] = None
+        recorded.times_s[phase] = None
         return
-    found.times_s[phase], found.known_s[phase] = float(times[index]), spacing_s
+    recorded.times_s[phase], recorded.known_s[phase] = float(times[index]), spacing_s
 
 
-def _speeds(found: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
+def _speeds(recorded: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     """Fill in disengagement and synchronisation from the shaft speeds."""
-    entry, output = found.signals["input_shaft_rad_s"], found.signals["output_shaft_rad_s"]
+    entry, output = recorded.signals["input_shaft_rad_s"], recorded.signals["output_shaft_rad_s"]
     if entry is None or output is None:
-        found.notes.append("shaft speeds not available: synchronisation not known")
+        recorded.notes.append("shaft speeds not available: synchronisation not known")
         return
     time = entry.time_s
     w_in, w_out = entry.values, np.interp(time, output.time_s, output.values)
@@ -192,47 +181,51 @@ def _speeds(found: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     possible = (ratios > POSSIBLE_RATIOS[0]) & (ratios < POSSIBLE_RATIOS[1])
     ratio = Samples(time[moving][possible], ratios[possible], "")
     old = ratio.median(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
-    new = ratio.median(found.end_s + RATIO_AFTER_S[0], found.end_s + RATIO_AFTER_S[1])
-    during = Samples(time, w_out, "").median(start_s, found.end_s)
-    from_gear, to_gear = bool(found.shift.from_gear), bool(found.shift.to_gear)
+    new = ratio.median(recorded.end_s + RATIO_AFTER_S[0], recorded.end_s + RATIO_AFTER_S[1])
+    during = Samples(time, w_out, "").median(start_s, recorded.end_s)
+    from_gear, to_gear = bool(recorded.shift.from_gear), bool(recorded.shift.to_gear)
     slow = during is None or during < SLOWEST_RAD_S
     if new is None or during is None or slow or (old is None and from_gear) or not to_gear:
         if to_gear:
-            found.notes.append("speed ratios not known: the vehicle too slow, or no speeds")
+            recorded.notes.append("speed ratios not known: the vehicle too slow, or no speeds")
         return
     old = old or new
-    if abs(old / new - 1.0) < LEAST_STEP and from_gear:
-        found.notes.append(f"speed ratio {old:.2f} before, {new:.2f} after: nothing to synchronise")
+    if abs(old / new - 1.0) < 0.03 and from_gear:
+        recorded.notes.append(
+            f"speed ratio {old:.2f} before, {new:.2f} after: nothing to synchronise"
+        )
         return
     factor = gearbox.main_shaft_by_output(new)
     difference = factor * (w_in / new - w_out)
     step = factor * during * (old / new - 1.0)
     sync = Synchronisation(time, difference, factor * during, step, factor, old, new)
-    found.synchronisation = sync
+    recorded.synchronisation = sync
     if not from_gear:
         before = Samples(time, difference, "")
     else:
         before = Samples(time, factor * (w_in - old * w_out) / new, "")
-    inside = (time >= start_s) & (time <= found.end_s + RATIO_AFTER_S[0])
+    inside = (time >= start_s) & (time <= recorded.end_s + RATIO_AFTER_S[0])
     t, d = time[inside], difference[inside]
     if len(t) > 1 and np.max(np.diff(t)) > LONGEST_GAP_S:
-        found.notes.append("shaft speeds missing for a while during the shift: not in the figures")
-        found.is_whole = False
+        recorded.notes.append(
+            "shaft speeds missing for a while during the shift: not in the figures"
+        )
+        recorded.is_whole = False
     settled = Samples(time, difference, "").within(
-        found.end_s + RATIO_AFTER_S[0], found.end_s + RATIO_AFTER_S[1]
+        recorded.end_s + RATIO_AFTER_S[0], recorded.end_s + RATIO_AFTER_S[1]
     )
     away = np.flatnonzero(np.abs(d) > max(SYNCHRONISED_RAD_S, _scatter(settled)))
     if len(away) == len(d) or (len(away) and away[-1] + 1 >= len(t)):
-        found.notes.append("the speeds never agree within the shift")
+        recorded.notes.append("the speeds never agree within the shift")
         return
-    _set(found, "synchronised", t, int(away[-1]) + 1 if len(away) else 0)
+    _set(recorded, "synchronised", t, int(away[-1]) + 1 if len(away) else 0)
     if not from_gear:
         return
     steady = before.within(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
-    band = max(LEAST_MOTION * abs(factor * during), _scatter(steady))
+    band = max(0.01 * abs(factor * during), _scatter(steady))
     left = np.flatnonzero(np.abs(before.values[inside]) > band)
     if len(left):
-        _set(found, "disengaged", t, int(left[0]))
+        _set(recorded, "disengaged", t, int(left[0]))
 
 
 def _scatter(steady: Samples) -> float:
@@ -242,69 +235,71 @@ def _scatter(steady: Samples) -> float:
     return 6.0 * float(np.median(np.abs(steady.values - np.median(steady.values))))
 
 
-def _fit_ramp(found: RecordedShift) -> None:
+def _fit_ramp(recorded: RecordedShift) -> None:
     """Fit the straight fall of the difference between disengagement and synchronisation."""
-    sync, begin = found.synchronisation, found.times_s["disengaged"]
-    if sync is None or begin is None or found.times_s["synchronised"] is None:
+    sync, begin = recorded.synchronisation, recorded.times_s["disengaged"]
+    if sync is None or begin is None or recorded.times_s["synchronised"] is None:
         return
-    inside = (sync.time_s >= begin) & (sync.time_s <= found.end_s + RATIO_AFTER_S[0])
+    inside = (sync.time_s >= begin) & (sync.time_s <= recorded.end_s + RATIO_AFTER_S[0])
     t, share = sync.time_s[inside], sync.difference_rad_s[inside] / sync.step_rad_s
     high, low = np.flatnonzero(share <= 0.9), np.flatnonzero(share <= 0.1)
     if not (len(high) and len(low)):
         return
-    taken_s = max(float(t[low[0]] - t[high[0]]), SHORTEST_FALL_S)
+    taken_s = max(float(t[low[0]] - t[high[0]]), 0.01)  # at least a period of ETC1
     ramp = 0.8 * abs(sync.step_rad_s) / taken_s
     delay_s = max(0.0, float(t[high[0]]) - begin - 0.1 * abs(sync.step_rad_s) / ramp)
     fallen = np.clip(1.0 - (t - begin - delay_s) * ramp / abs(sync.step_rad_s), 0.0, 1.0)
     apart = float(np.max(np.abs(share - fallen)) * abs(sync.step_rad_s))
-    found.synchronisation = replace(sync, delay_s=delay_s, ramp_rad_s2=ramp, apart_rad_s=apart)
+    recorded.synchronisation = replace(sync, delay_s=delay_s, ramp_rad_s2=ramp, apart_rad_s=apart)
 
 
-def _reported_gears(found: RecordedShift) -> None:
+def _reported_gears(recorded: RecordedShift) -> None:
     """Fill in what the reported gear shows: neutral before the speeds do, the new one after them."""
-    gears, target = found.signals["current_gear"], found.shift.to_gear
-    times, synchronised = found.times_s, found.times_s["synchronised"]
+    gears, target = recorded.signals["current_gear"], recorded.shift.to_gear
+    times, synchronised = recorded.times_s, recorded.times_s["synchronised"]
     if gears is not None and len(gears.values) > 1:
         later = gears.time_s >= 0.0
         neutral = np.flatnonzero((np.round(gears.values) == 0) & later)
-        left_s = found.end_s if times["disengaged"] is None else times["disengaged"]
-        if found.shift.from_gear and len(neutral) and gears.time_s[neutral[0]] <= left_s:
-            _set(found, "disengaged", gears.time_s, int(neutral[0]))
+        left_s = recorded.end_s if times["disengaged"] is None else times["disengaged"]
+        if recorded.shift.from_gear and len(neutral) and gears.time_s[neutral[0]] <= left_s:
+            _set(recorded, "disengaged", gears.time_s, int(neutral[0]))
         reported = np.flatnonzero((np.round(gears.values) == target) & later)
         if len(reported):
-            _set(found, "engaged", gears.time_s, int(reported[0]))
+            _set(recorded, "engaged", gears.time_s, int(reported[0]))
     if synchronised is None:
         return
     if times["engaged"] is None or times["engaged"] < synchronised:
         times["engaged"] = synchronised
-        found.known_s["engaged"] = found.known_s["synchronised"]
-        found.notes.append(
+        recorded.known_s["engaged"] = recorded.known_s["synchronised"]
+        recorded.notes.append(
             "engaged: when the speeds agreed for good, the gear was not reported later"
         )
 
 
-def _torque(found: RecordedShift) -> None:
+def _torque(recorded: RecordedShift) -> None:
     """Fill in the cut of the engine's torque, and when it is back."""
-    torque, times = found.signals["engine_torque_share"], found.times_s
+    torque, times = recorded.signals["engine_torque_share"], recorded.times_s
     if torque is None:
-        found.notes.append("engine torque not available: torque cut and return not known")
+        recorded.notes.append("engine torque not available: torque cut and return not known")
         return
     before = torque.median(-0.5, 0.0)
-    until = times["disengaged"] if times["disengaged"] is not None else found.end_s
+    until = times["disengaged"] if times["disengaged"] is not None else recorded.end_s
     during = torque.within(0.0, until + torque.period_s)
     if before is not None and len(during.values) > 1:
         least = float(np.min(during.values))
         if before - least >= LEAST_TORQUE:
             cut = during.values <= least + 0.1 * (before - least)
-            _set(found, "torque_cut", during.time_s, int(np.argmax(cut)))
+            _set(recorded, "torque_cut", during.time_s, int(np.argmax(cut)))
         else:
-            found.notes.append(f"engine torque hardly changes ({before:.0%} before): no cut to see")
+            recorded.notes.append(
+                f"engine torque hardly changes ({before:.0%} before): no cut to see"
+            )
     engaged = times["engaged"]
-    after = torque.median(found.end_s + 0.5, found.end_s + 1.0)
+    after = torque.median(recorded.end_s + 0.5, recorded.end_s + 1.0)
     if engaged is None or after is None:
         return
-    later = torque.within(engaged, found.end_s + AFTER_S)
+    later = torque.within(engaged, recorded.end_s + AFTER_S)
     if len(later.values) > 1 and after - later.values[0] >= LEAST_TORQUE:
         back = later.values >= later.values[0] + 0.9 * (after - later.values[0])
         if back.any():
-            _set(found, "torque_back", later.time_s, int(np.argmax(back)))
+            _set(recorded, "torque_back", later.time_s, int(np.argmax(back)))
