@@ -59,3 +59,10 @@ def test_nothing_in_simulated_time_imports_the_wall_clock() -> None:
     for file in files("plant"):
         used = {m.split(".")[0] for m in imported(file)} & {"datetime", "random", "socket"}
         assert not used, f"{file.relative_to(ROOT)} imports {sorted(used)}"
+
+
+def test_no_test_imports_a_bench() -> None:
+    for file in files("tests"):
+        place = file.relative_to(ROOT).as_posix()
+        used = {m for m in imported(file) if m.startswith("tests.bench")}
+        assert not used or place.startswith("tests/bench/"), f"{place} imports {sorted(used)}"

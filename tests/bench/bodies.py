@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 
 from can_dbc.errors import InputError
 from sil.inference.force.rig import diagnose_force
-from tests.bench._held_bodies import draw_held
+from tests.support.held_bodies import draw_held
 
 KINDS = {
     "plain": 60,

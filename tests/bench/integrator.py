@@ -9,7 +9,7 @@ makes hard work of it; the peers, and LSODA in its second row, begin there, ours
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -91,8 +91,6 @@ def fixed_strokes() -> Iterator[str]:
         star = "*" if begin_s else ""
         yield row(f"scipy solve_ivp {method}{star}, events", each_s, floors_s, setting, worst)
 
-    yield from peers(pistons[:3], reference[:3], floors_s)
-
     yield one_by_one(setups, TIMES, slice(FixedState.p_1, FixedState.p_2 + 1), reference, floors_s)
 
     def together(tolerance: float) -> list[Shown]:
@@ -131,35 +129,3 @@ def fixed_strokes() -> Iterator[str]:
         f"{1e3 * np.abs(result.impact_speed_m_s - exact.impact_speed_m_s).max():.2f} mm/s, end state "
         f"{np.abs(result.final[:, FixedState.p_1 : FixedState.p_2 + 1] - exact.final[:, FixedState.p_1 : FixedState.p_2 + 1]).max():.1f} Pa"
     )
-
-
-def peers(
-    pistons: Sequence[Piston], reference: Sequence[Shown], floors_s: Sequence[float]
-) -> Iterator[str]:
-    """The peers that are installed; which are not."""
-    from tests.bench import _heyoka, _numbalsoda
-
-    for name, module in (("heyoka", _heyoka), ("numbalsoda", _numbalsoda)):
-        version = module.version()
-        if version is None:
-            yield f"{name}: not installed (pip install {name}; not a dependency)"
-            continue
-        solvers: dict[float, list[Callable[[], Shown]]] = {}
-
-        def solve(
-            tolerance: float, solvers: dict = solvers, module: object = module
-        ) -> list[Shown]:
-            solvers[tolerance] = [
-                module.solver(p, OPENING_S, TIMES, tolerance)  # type: ignore[attr-defined]
-                for p in pistons
-            ]
-            return [one() for one in solvers[tolerance]]
-
-        try:
-            setting, worst = cheapest(solve, module.SETTINGS, reference)
-        except (ImportError, OSError) as error:
-            yield f"{name} {version}: does not load: {error}"
-            continue
-        ready = solvers[setting]
-        each_s = best_s(lambda: [one() for one in ready], 40) / len(ready)  # noqa: B023
-        yield row(f"{name} {version}*, events, one by one", each_s, floors_s, setting, worst)

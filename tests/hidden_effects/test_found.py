@@ -13,9 +13,9 @@ import pytest
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
 from sil.inference.campaign.diagnosis import diagnose
-from tests.bench.hidden_effects import STROKES, Row, row_of
 from tests.hidden_effects.campaign import hide, write_campaign
 from tests.hidden_effects.draws import drawn
+from tests.support.hidden_study import STROKES, Row, row_of
 
 
 def diagnosed(folder: Path, names: tuple[str, ...], seed: int, strokes: int, level="easy") -> Row:

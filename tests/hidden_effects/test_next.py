@@ -8,8 +8,8 @@ import pytest
 
 from sil.campaign.campaign import load_campaign
 from sil.cli import main
-from tests.bench.next_experiment import Outcome, first_campaign, table
 from tests.hidden_effects.campaign import Hidden, hide, measure_next
+from tests.support.next_strokes import Outcome, first_campaign, table
 
 KINDS = ("fixed", "N-B", "B-N", "N-F", "fixed", "N-B")
 

@@ -7,8 +7,8 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from tests.bench.hidden_effects import Row, interval, read_rows, tables
-from tests.bench.instruments import outcome
+from tests.support.hidden_study import Row, interval, read_rows, tables
+from tests.support.instruments import outcome
 
 
 def row(names: tuple[str, ...], found: tuple[tuple[str, str, float], ...], **more) -> Row:

@@ -13,8 +13,8 @@ import pytest
 from can_dbc.contract import DBC_PATH
 from sil.cli import main
 from sil.replay.recorded_frames import OWN_IDS
-from tests.bench.replay import made_log, peak_memory
 from tests.conftest import ROOT
+from tests.support.replay_cost import made_log, peak_memory
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

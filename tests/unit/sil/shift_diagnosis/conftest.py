@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.truck_logs import truck_log
+from tests.support.truck_logs import truck_log
 
 
 @pytest.fixture(scope="session")

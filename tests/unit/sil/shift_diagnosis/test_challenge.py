@@ -16,7 +16,7 @@ from sil.shift_diagnosis.challenge import (
 from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.model import PlantModel
 from sil.shift_diagnosis.verdict import CERTAIN, Detectable, Judged, weighed
-from tests.bench.truck_logs import truck_log
+from tests.support.truck_logs import truck_log
 from tests.unit.sil.shift_diagnosis.fits import cut, in_turn, judged, only
 
 NAMES = ("valve_open_delay", "exhaust_clog", "sensor_temperature")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.bench import _bus_information as theory
-from tests.bench.bus_groups import NAMES, PHASE_S, compared, correlation, driven, lines
 from tests.reference.truck import Pushed
+from tests.support import bus_information as theory
+from tests.support.bus_groups import NAMES, PHASE_S, compared, correlation, driven, lines
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from sil.shift_diagnosis.model import (
     LEAST_NOISE_M,
     PlantModel,
 )
-from tests.bench.truck_logs import by_reference
+from tests.support.truck_logs import by_reference
 from tests.unit.sil.shift_diagnosis.fits import cut
 
 

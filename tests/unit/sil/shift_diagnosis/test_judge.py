@@ -11,7 +11,7 @@ import pytest
 from plant.parameters import load
 from sil.shift_diagnosis.judge import judge_shifts, offered
 from sil.shift_diagnosis.verdict import ALARM
-from tests.bench.truck_logs import truck_log
+from tests.support.truck_logs import truck_log
 from tests.unit.sil.shift_diagnosis.fits import cut
 
 

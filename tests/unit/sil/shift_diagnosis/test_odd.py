@@ -15,7 +15,7 @@ from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.linear import Noise
 from sil.shift_diagnosis.model import PlantModel, Point
 from sil.shift_diagnosis.odd import is_scatter, is_usual, own_impulses, with_odd, without_odd
-from tests.bench.truck_logs import truck_log
+from tests.support.truck_logs import truck_log
 from tests.unit.sil.shift_diagnosis.fits import cut
 
 LIMIT = 3.0

@@ -13,7 +13,7 @@ from sil.shift_diagnosis.fit import FARTHEST, Fitter
 from sil.shift_diagnosis.model import PlantModel
 from sil.shift_diagnosis.polish import HOPELESS, continued
 from sil.shift_diagnosis.verdict import Judged
-from tests.bench.truck_logs import truck_log
+from tests.support.truck_logs import truck_log
 from tests.unit.sil.shift_diagnosis.fits import cut, in_turn, only
 
 

@@ -31,10 +31,10 @@ from sil.shift_diagnosis.search import (
     with_rivals,
 )
 from sil.shift_diagnosis.verdict import ALARM, DOUBTED, SEPARABLE, Judged, weighed
-from tests.bench._bus_information import quiet_truck
-from tests.bench.bus_groups import PHASE_S
-from tests.bench.truck_logs import truck_log
 from tests.reference.truck import write_log
+from tests.support.bus_groups import PHASE_S
+from tests.support.bus_information import quiet_truck
+from tests.support.truck_logs import truck_log
 from tests.unit.sil.shift_diagnosis.fits import cut, in_turn, judged, only
 
 

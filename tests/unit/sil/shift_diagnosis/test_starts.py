@@ -13,7 +13,7 @@ from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.starts import starts_around
-from tests.bench.truck_logs import truck_log
+from tests.support.truck_logs import truck_log
 
 
 def shifts_with(path: Path, cause: dict[str, float]) -> list[Shift]:

@@ -9,7 +9,7 @@ from sil.inference.force.delay import sooner
 from sil.inference.force.record import read_motion
 from sil.inference.force.result import ForceDiagnosis
 from sil.inference.force.rig import diagnose_force
-from tests.bench._held_bodies import draw_held
+from tests.support.held_bodies import draw_held
 from tests.unit.sil.inference.made_rig import HEAD, changed, rig, written
 
 PRESSED = HEAD + "[body]\npiston_area_m2 = 1e-4\n"
