@@ -11,12 +11,6 @@ from controller.settings import ControlConfig, Settings, bounded
 STEP_S = 0.0005
 """Step of the light model."""
 
-STILL_M = 1e-4
-"""Differences up to this, two ticks of the sensor's timer, are no motion."""
-
-TOUCH_M = 1e-9
-"""Piston and stay nearer than this move together."""
-
 
 class ObserverSettings(Settings, frozen=True):
     """How strongly the model follows the measurements."""
@@ -32,7 +26,7 @@ class ObserverSettings(Settings, frozen=True):
 class Observer:
     """The light model run in parallel with the actuator and corrected by late measurements.
 
-    The model's own past position goes through the same filter as the sensor's, so that the two
+    The model's past position goes through the same filter as the sensor's, so that the two
     differ only by what the model does not know; the difference moves position, speed and load.
     Bounded work: period/0.5 ms model steps and one filter step a sample.
     """
@@ -48,10 +42,10 @@ class Observer:
 
     def reset(self) -> None:
         """Start in neutral, at rest, both chambers vented, valves closed."""
-        own = self.model.settings
-        self.motion = Motion(own.atmosphere_pa, own.atmosphere_pa)
-        self.driving = Valve(own.valve_open_s, own.valve_close_s)
-        self.braking = Valve(own.valve_open_s, own.valve_close_s)
+        settings = self.model.settings
+        self.motion = Motion(settings.atmosphere_pa, settings.atmosphere_pa)
+        self.driving = Valve(settings.valve_open_s, settings.valve_close_s)
+        self.braking = Valve(settings.valve_open_s, settings.valve_close_s)
         self.steps = 0  # of the model, since the push began
         self._ring = [0.0] * (self._past + 1)
         self._filter: SectionFilter | None = None
@@ -88,20 +82,22 @@ class Observer:
             sampled_m = expected_m
             for _ in range(new_samples):
                 expected_m = self._filter.update(sampled_m)
-        own, motion = self._settings, self.motion
+        settings, motion = self._settings, self.motion
         error_m = measured_m - expected_m
-        touching = motion.piston_m >= self.model.settings.gap_m + motion.stay_m - TOUCH_M
-        if not touching and motion.stay_m <= 0.0 and error_m <= STILL_M:
-            return  # the piston is on its own, the stay at rest: nothing to learn
+        touching = motion.piston_m >= self.model.settings.gap_m + motion.stay_m - 1e-9
+        if not touching and motion.stay_m <= 0.0 and error_m <= 1e-4:  # two ticks of the sensor
+            return  # the piston moves alone, the stay rests: nothing to correct
         stroke_m = self.model.stroke_m
-        moved_m = motion.stay_m + own.position_gain * error_m
+        moved_m = motion.stay_m + settings.position_gain * error_m
         motion.stay_m = min(max(moved_m, 0.0), stroke_m)
         limit_m = self.model.settings.gap_m + motion.stay_m
         motion.piston_m = limit_m if touching else min(motion.piston_m, limit_m)
-        motion.stay_m_s += own.speed_gain_per_s * error_m
+        motion.stay_m_s += settings.speed_gain_per_s * error_m
         if touching:
             motion.piston_m_s = motion.stay_m_s
-        motion.load_n = min(max(motion.load_n - own.load_gain_n_m * error_m, 0.0), own.most_load_n)
+        motion.load_n = min(
+            max(motion.load_n - settings.load_gain_n_m * error_m, 0.0), settings.most_load_n
+        )
 
     def command(self, charge: bool, brake: bool) -> None:
         """Note the command of this step."""

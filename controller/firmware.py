@@ -20,14 +20,12 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
+from controller.broadcast import Broadcast
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, GearWindows, PositionEstimator
 from controller.settings import nanoseconds
 from controller.shift import Event, Observation, ShiftMachine
 from controller.strategies import OFF, Duties, ShiftContext, one_chamber
-
-BROADCAST_NS = 10_000_000
-"""Period of ETC1, ns (SAE J1939-71)."""
 
 CHAMBER_OF = {
     Gear.BACKWARD: Chamber.B,
@@ -36,14 +34,6 @@ CHAMBER_OF = {
     Gear.UNKNOWN: Chamber.NONE,
 }
 """Chamber whose filling leads to a gear."""
-
-J1939_RANGE = {Gear.NEUTRAL: " N", Gear.FORWARD: " F", Gear.BACKWARD: " B", Gear.UNKNOWN: None}
-"""Gears as the two characters of the range fields of ETC2: they name the stroke, not the truck's
-direction."""
-
-J1939_SPEED_RAD_S = 841.0
-"""ETC1 carries shaft speeds from zero to this; others are sent as not available."""
-
 
 NO_BLOW = SafetyBlow(chamber=Chamber.NONE, active=False, remaining_s=0.0)
 
@@ -91,18 +81,8 @@ class Firmware:
         self._startup_ns = nanoseconds(config.e2e.startup_s)
         self._apart_ns = nanoseconds(config.shift.interlock_s) + config.period_ns
         self._sync_tolerance_rad_s = config.shift.sync_tolerance_rad_s
-        self._start_ns: int | None = None
+        self._start_ns: int | None = None  # until the first step
         self._now_ns = 0
-        self._broadcast_ns = self._etc2_ns = 0
-        said = config.broadcast
-        self._etc2_period_ns = nanoseconds(said.etc2_period_s)
-        self._numbers = {
-            Gear.NEUTRAL: 0,
-            Gear.FORWARD: said.gear_forward,
-            Gear.BACKWARD: said.gear_backward,
-            Gear.UNKNOWN: None,
-        }
-        self._ratios = {Gear.FORWARD: said.ratio_forward, Gear.BACKWARD: said.ratio_backward}
         self._latched = Fault.NONE
         self._energised_ns: list[int | None] = [None, None, None]
         self._valid_before = dict.fromkeys(("position", "request", "speeds"), False)
@@ -119,7 +99,7 @@ class Firmware:
         """
         if self._start_ns is None:
             self._start_ns = self._sampled_ns = now_ns
-            self._broadcast_ns = self._etc2_ns = now_ns
+            self._broadcast = Broadcast(self.config.broadcast, self._machine, now_ns)
         elif now_ns <= self._now_ns:
             raise ValueError(f"step at {now_ns} ns after one at {self._now_ns} ns")
         self._now_ns = now_ns
@@ -281,41 +261,5 @@ class Firmware:
         blow = NO_BLOW
         if blown is not Chamber.NONE:
             blow = SafetyBlow(blown, True, machine.blow_remaining_ns(now_ns) / 1e9)
-        etc1 = etc2 = None
-        if now_ns >= self._broadcast_ns:
-            self._broadcast_ns += BROADCAST_NS
-            etc1 = self._etc1(speeds)
-        if now_ns >= self._etc2_ns:
-            self._etc2_ns += self._etc2_period_ns
-            etc2 = self._etc2()
-        return Outputs(valves, blow, status, etc1, etc2)
-
-    def _etc1(self, speeds: DrivelineSpeeds | None) -> Etc1:
-        current = self._machine.confirmed
-        input_rad_s = output_rad_s = None
-        if speeds is not None:
-            ratio = self._ratios.get(speeds.referred, 0.0) or 1.0
-            input_rad_s = _j1939_speed(speeds.input_rad_s * ratio)
-            output_rad_s = _j1939_speed(speeds.output_rad_s)
-        return Etc1(
-            driveline_engaged=None if current is Gear.UNKNOWN else current is not Gear.NEUTRAL,
-            shift_in_process=self._machine.in_process,
-            output_shaft_rad_s=output_rad_s,
-            input_shaft_rad_s=input_rad_s,
-        )
-
-    def _etc2(self) -> Etc2:
-        machine = self._machine
-        current = machine.confirmed
-        selected = machine.final if machine.in_process else current
-        return Etc2(
-            selected_gear=self._numbers[selected],
-            gear_ratio=self._ratios.get(current, 0.0) or None,
-            current_gear=self._numbers[current],
-            requested_range=J1939_RANGE[selected],
-            current_range=J1939_RANGE[current],
-        )
-
-
-def _j1939_speed(speed_rad_s: float) -> float | None:
-    return speed_rad_s if 0.0 <= speed_rad_s <= J1939_SPEED_RAD_S else None
+        broadcast = self._broadcast
+        return Outputs(valves, blow, status, broadcast.etc1(now_ns, speeds), broadcast.etc2(now_ns))

@@ -13,8 +13,6 @@ from typing import Annotated
 
 from controller.settings import Settings, bounded
 
-R_AIR_J_KG_K = 287.0
-
 
 class ModelSettings(Settings, frozen=True):
     """What the light model takes for true; the defaults are the laboratory's length stroke."""
@@ -110,13 +108,20 @@ class LightModel:
 
     def _flow(self, pressure_pa: float, is_open: bool) -> float:
         """Return the flow into a chamber times its exponent, kg K/s; negative when it vents."""
-        own = self.settings
+        settings = self.settings
         if is_open:
-            upstream_pa, downstream_pa, critical = own.supply_pa, pressure_pa, own.flow_in_critical
-            size = own.filling_alpha_flow * own.flow_in
+            upstream_pa, downstream_pa, critical = (
+                settings.supply_pa,
+                pressure_pa,
+                settings.flow_in_critical,
+            )
+            size = settings.filling_alpha_flow * settings.flow_in
         else:
-            upstream_pa, downstream_pa = pressure_pa, own.atmosphere_pa
-            critical, size = own.flow_out_critical, -own.venting_alpha_flow * own.flow_out
+            upstream_pa, downstream_pa = pressure_pa, settings.atmosphere_pa
+            critical, size = (
+                settings.flow_out_critical,
+                -settings.venting_alpha_flow * settings.flow_out,
+            )
         ratio = downstream_pa / upstream_pa
         if ratio >= 1.0:
             return 0.0
@@ -128,44 +133,46 @@ class LightModel:
 
         The piston pushes the stay and cannot pull it: what brakes the piston lets the stay coast.
         """
-        own = self.settings
-        piston_kg, stay_kg = own.piston_kg, own.stay_kg
-        piston_m2, stay_m2 = own.piston_m2, own.stay_m2
+        settings = self.settings
+        piston_kg, stay_kg = settings.piston_kg, settings.stay_kg
+        piston_m2, stay_m2 = settings.piston_m2, settings.stay_m2
         z_m, x_m = motion.piston_m, motion.stay_m
         u_m_s, v_m_s = motion.piston_m_s, motion.stay_m_s
         drive_n = piston_m2 * (motion.driving_pa - motion.braking_pa)
-        resist_n = own.piston_friction_n + own.piston_damping_n_s_m * abs(u_m_s)
+        resist_n = settings.piston_friction_n + settings.piston_damping_n_s_m * abs(u_m_s)
         u_m_s = slid(u_m_s, drive_n, resist_n, step_s, piston_kg)
-        drive_n = stay_m2 * (motion.driving_pa - own.atmosphere_pa)
-        resist_n = own.stay_friction_n + motion.load_n + own.stay_damping_n_s_m * abs(v_m_s)
+        drive_n = stay_m2 * (motion.driving_pa - settings.atmosphere_pa)
+        resist_n = (
+            settings.stay_friction_n + motion.load_n + settings.stay_damping_n_s_m * abs(v_m_s)
+        )
         v_m_s = slid(v_m_s, drive_n, resist_n, step_s, stay_kg)
-        if u_m_s > v_m_s and z_m + step_s * u_m_s > own.gap_m + x_m + step_s * v_m_s:
+        if u_m_s > v_m_s and z_m + step_s * u_m_s > settings.gap_m + x_m + step_s * v_m_s:
             total_kg = piston_kg + stay_kg
             common_m_s = (piston_kg * u_m_s + stay_kg * v_m_s) / total_kg
             if v_m_s <= 0.0:  # the piston's push has the stay's resistance to overcome first
-                resist_n = own.stay_friction_n + motion.load_n
-                held_m_s = step_s * max(0.0, resist_n - drive_n) / total_kg
-                common_m_s = max(0.0, common_m_s - held_m_s)
+                resist_n = settings.stay_friction_n + motion.load_n
+                stopped_m_s = step_s * max(0.0, resist_n - drive_n) / total_kg
+                common_m_s = max(0.0, common_m_s - stopped_m_s)
             u_m_s = v_m_s = common_m_s
         new_x_m = min(max(x_m + step_s * v_m_s, 0.0), self.stroke_m)
-        new_z_m = min(max(z_m + step_s * u_m_s, 0.0), own.gap_m + new_x_m)
+        new_z_m = min(max(z_m + step_s * u_m_s, 0.0), settings.gap_m + new_x_m)
         way_m = new_z_m - z_m
-        driving_m3 = own.driving_m3 + piston_m2 * z_m + stay_m2 * x_m
-        braking_m3 = own.braking_m3 - piston_m2 * z_m
+        driving_m3 = settings.driving_m3 + piston_m2 * z_m + stay_m2 * x_m
+        braking_m3 = settings.braking_m3 - piston_m2 * z_m
         swept_m3 = piston_m2 * way_m + stay_m2 * (new_x_m - x_m)
-        gain = R_AIR_J_KG_K * step_s
-        volume = own.filling_alpha_volume if driving else own.venting_alpha_volume
+        gain = 287.0 * step_s  # specific gas constant of air, J/(kg K)
+        volume = settings.filling_alpha_volume if driving else settings.venting_alpha_volume
         motion.driving_pa += (
             gain * self._flow(motion.driving_pa, driving) - volume * motion.driving_pa * swept_m3
         ) / driving_m3
-        volume = own.filling_alpha_volume if braking else own.venting_alpha_volume
+        volume = settings.filling_alpha_volume if braking else settings.venting_alpha_volume
         motion.braking_pa += (
             gain * self._flow(motion.braking_pa, braking)
             + volume * motion.braking_pa * piston_m2 * way_m
         ) / braking_m3
         if new_x_m >= self.stroke_m or new_x_m <= 0.0:
             v_m_s = 0.0
-        if new_z_m <= 0.0 or new_z_m >= own.gap_m + self.stroke_m:
+        if new_z_m <= 0.0 or new_z_m >= settings.gap_m + self.stroke_m:
             u_m_s = 0.0
         motion.piston_m, motion.stay_m = new_z_m, new_x_m
         motion.piston_m_s, motion.stay_m_s = u_m_s, v_m_s

@@ -44,9 +44,9 @@ class Calibration:
 
     def position_m(self, pulse_s: float, coil_temperature_k: float) -> float:
         """Return the position, m from neutral, of a pulse at a coil temperature."""
-        own = self._sensor
-        warmth = 1.0 + own.temp_coeff_per_k * (coil_temperature_k - own.t_ref_k)
-        return (pulse_s / warmth - own.t_mid_s) / own.slope_s_per_m
+        sensor = self._sensor
+        warmth = 1.0 + sensor.temp_coeff_per_k * (coil_temperature_k - sensor.t_ref_k)
+        return (pulse_s / warmth - sensor.t_mid_s) / sensor.slope_s_per_m
 
 
 class Plausibility:
@@ -75,9 +75,9 @@ class Plausibility:
 
     def in_range(self, raw_m: float, coil_temperature_k: float) -> bool:
         """Return whether a sample on its own is possible."""
-        own = self._sensor
+        sensor = self._sensor
         return (
-            own.temperature_min_k <= coil_temperature_k <= own.temperature_max_k
+            sensor.temperature_min_k <= coil_temperature_k <= sensor.temperature_max_k
             and -self._range_m <= raw_m <= self._range_m
         )
 

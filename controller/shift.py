@@ -39,29 +39,29 @@ DRIVING = (S.PUSH, S.CONFIRM)
 UNDER_WAY = (*DRIVING, S.BLOW, S.HOLD, S.VENT)
 """States of a shift in process, its after-treatment included."""
 
-_TABLE: tuple[tuple[tuple[ShiftState, ...], Event, ShiftState], ...] = (
-    ((S.INIT,), Event.GEAR_FOUND, S.IDLE),
-    ((S.INIT,), Event.INIT_TIMEOUT, S.IDLE),
-    ((S.IDLE, *UNDER_WAY), Event.LEG_STARTED, S.PUSH),
-    ((S.IDLE, *UNDER_WAY), Event.LEG_WAITS, S.HOLD),
-    ((S.PUSH,), Event.WINDOW_ENTERED, S.CONFIRM),
-    ((S.CONFIRM,), Event.WINDOW_LEFT, S.PUSH),
-    (DRIVING, Event.CONFIRMED, S.BLOW),
-    ((S.BLOW,), Event.SLIPPED, S.PUSH),
-    ((*DRIVING, S.BLOW), Event.SHIFT_DONE, S.HOLD),
-    ((S.HOLD,), Event.WAIT_CANCELLED, S.VENT),
-    ((S.HOLD,), Event.HOLD_OVER, S.VENT),
-    ((S.VENT,), Event.VENT_OVER, S.IDLE),
-    (DRIVING, Event.RETRY, S.VENT),
-    ((S.VENT,), Event.PAUSE_OVER, S.PUSH),
-    (DRIVING, Event.FAILED, S.FAULT),
-    ((S.INIT, S.IDLE), Event.POSITION_LOST, S.INIT),
-    ((*UNDER_WAY, S.FAULT), Event.POSITION_LOST, S.FAULT),
-    ((S.FAULT,), Event.RECOVERED, S.INIT),
-)
-
 TRANSITIONS: Mapping[tuple[ShiftState, Event], ShiftState] = {
-    (state, event): target for states, event, target in _TABLE for state in states
+    (state, event): target
+    for states, event, target in (
+        ((S.INIT,), Event.GEAR_FOUND, S.IDLE),
+        ((S.INIT,), Event.INIT_TIMEOUT, S.IDLE),
+        ((S.IDLE, *UNDER_WAY), Event.LEG_STARTED, S.PUSH),
+        ((S.IDLE, *UNDER_WAY), Event.LEG_WAITS, S.HOLD),
+        ((S.PUSH,), Event.WINDOW_ENTERED, S.CONFIRM),
+        ((S.CONFIRM,), Event.WINDOW_LEFT, S.PUSH),
+        (DRIVING, Event.CONFIRMED, S.BLOW),
+        ((S.BLOW,), Event.SLIPPED, S.PUSH),
+        ((*DRIVING, S.BLOW), Event.SHIFT_DONE, S.HOLD),
+        ((S.HOLD,), Event.WAIT_CANCELLED, S.VENT),
+        ((S.HOLD,), Event.HOLD_OVER, S.VENT),
+        ((S.VENT,), Event.VENT_OVER, S.IDLE),
+        (DRIVING, Event.RETRY, S.VENT),
+        ((S.VENT,), Event.PAUSE_OVER, S.PUSH),
+        (DRIVING, Event.FAILED, S.FAULT),
+        ((S.INIT, S.IDLE), Event.POSITION_LOST, S.INIT),
+        ((*UNDER_WAY, S.FAULT), Event.POSITION_LOST, S.FAULT),
+        ((S.FAULT,), Event.RECOVERED, S.INIT),
+    )
+    for state in states
 }
 """The next state by state and event; the machine changes its state by this table alone."""
 

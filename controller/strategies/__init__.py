@@ -103,8 +103,8 @@ def strategy_class(name: str) -> type[Strategy]:
     if name not in NAMES:
         raise InputError(f"strategy: {name!r} is {unknown_name(name, NAMES)}")
     module, _, attribute = NAMES[name].partition(":")
-    found: type[Strategy] = getattr(importlib.import_module(module), attribute)
-    return found
+    loaded: type[Strategy] = getattr(importlib.import_module(module), attribute)
+    return loaded
 
 
 def parameters(name: str, table: Mapping[str, Any]) -> Struct:

@@ -38,11 +38,12 @@ class AirCushion(IntoGear):
 
     def decide(self, progress: Progress) -> Command:
         """Push until the burst, brake during it, push again."""
-        own = self.parameters
+        parameters = self.parameters
         if (
             self._begun_s is None
-            and progress.travelled_m + own.lead_s * progress.speed_m_s >= own.trigger_m
+            and progress.travelled_m + parameters.lead_s * progress.speed_m_s
+            >= parameters.trigger_m
         ):
             self._begun_s = progress.spent_s
-        burst = within(self._begun_s, progress.spent_s, own.burst_s)
-        return Command(own.keep_charging or not burst, burst)
+        burst = within(self._begun_s, progress.spent_s, parameters.burst_s)
+        return Command(parameters.keep_charging or not burst, burst)

@@ -9,13 +9,7 @@ from controller.settings import bounded
 from controller.strategies.foresight import Foresight, ForesightParameters
 from controller.strategies.into_gear import Command, Progress, within
 
-BISECTIONS = 6
-
 Table = tuple[tuple[float, float], ...]
-
-STORED: Table = ((6e5, 0.002), (7e5, 0.004), (8e5, 0.002), (9e5, 0.002))
-"""Supply pressure, Pa, and time from the push to the brake command, s: computed off line for the
-laboratory's length stroke with today's valves and 20 ms of braking (2 ms grid, lowest impact)."""
 
 
 def stored_s(table: Table, supply_pa: float) -> float:
@@ -43,8 +37,9 @@ class BangBang(Foresight):
     class Parameters(ForesightParameters, frozen=True):
         """What is stored, what arrival is soft enough, and what counts as motion."""
 
-        table: Table = STORED
-        """Supply pressure, Pa, ascending, and time from the push to the brake command, s."""
+        table: Table = ((6e5, 0.002), (7e5, 0.004), (8e5, 0.002), (9e5, 0.002))
+        """Supply pressure, Pa, ascending, and time from the push to the brake command, s. Computed
+        off line for the laboratory's length stroke, today's valves and 20 ms of braking."""
         impact_m_s: Annotated[float, bounded(0.0, 3.0, "m/s")] = 0.2
         brake_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.02
         """Time for which the neutral chamber is filled and the driving one is not."""
@@ -76,26 +71,26 @@ class BangBang(Foresight):
 
     def plan(self, spent_s: float) -> Command:
         """Push until the switching time is nearer than half a period, then brake for its time."""
-        own = self.parameters
+        parameters = self.parameters
         if self._begun_s is None:
-            waiting_s = stored_s(own.table, own.model.supply_pa) - spent_s
+            waiting_s = stored_s(parameters.table, parameters.model.supply_pa) - spent_s
             ahead_s = self._solved_s() if self._moved else waiting_s
             if ahead_s < 0.5 * self.config.period_s:
                 self._begun_s = spent_s
-        braking = within(self._begun_s, spent_s, own.brake_s)
+        braking = within(self._begun_s, spent_s, parameters.brake_s)
         return Command(not braking, braking)
 
     def _solved_s(self) -> float:
         """Return how long from now the brake may wait for the wanted impact speed."""
-        own = self.parameters
-        early_s, late_s = 0.0, own.horizon_s
-        if self._speed_m_s(early_s) >= own.impact_m_s:
+        parameters = self.parameters
+        early_s, late_s = 0.0, parameters.horizon_s
+        if self._speed_m_s(early_s) >= parameters.impact_m_s:
             return early_s
-        if self._speed_m_s(late_s) <= own.impact_m_s:
+        if self._speed_m_s(late_s) <= parameters.impact_m_s:
             return late_s
-        for _ in range(BISECTIONS):
+        for _ in range(6):
             middle_s = 0.5 * (early_s + late_s)
-            if self._speed_m_s(middle_s) > own.impact_m_s:
+            if self._speed_m_s(middle_s) > parameters.impact_m_s:
                 late_s = middle_s
             else:
                 early_s = middle_s

@@ -29,6 +29,8 @@ class BlowCut(OpenLoop):
 
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
         """Return the shorter of the configured blow and this strategy's."""
-        own = self.parameters
-        own_s = own.neutral_s if leg is Gear.NEUTRAL and follows else own.otherwise_s
-        return min(configured_s, own_s)
+        parameters = self.parameters
+        limit_s = (
+            parameters.neutral_s if leg is Gear.NEUTRAL and follows else parameters.otherwise_s
+        )
+        return min(configured_s, limit_s)

@@ -30,7 +30,11 @@ class FixedProgramme(IntoGear):
 
     def decide(self, progress: Progress) -> Command:
         """Push but for the two intervals."""
-        own, now_s = self.parameters, progress.spent_s + 0.5 * self.config.period_s
-        rest = now_s >= own.rest_begin_s and within(own.rest_begin_s, now_s, own.rest_s)
-        brake = now_s >= own.brake_begin_s and within(own.brake_begin_s, now_s, own.brake_s)
+        parameters, now_s = self.parameters, progress.spent_s + 0.5 * self.config.period_s
+        rest = now_s >= parameters.rest_begin_s and within(
+            parameters.rest_begin_s, now_s, parameters.rest_s
+        )
+        brake = now_s >= parameters.brake_begin_s and within(
+            parameters.brake_begin_s, now_s, parameters.brake_s
+        )
         return Command(not rest, brake)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, ClassVar, NamedTuple
 
 from msgspec import Struct
@@ -10,10 +11,8 @@ from controller.settings import ControlConfig, bounded
 from controller.strategies.foresight import Foresight, ForesightParameters, Outcome
 from controller.strategies.into_gear import Command
 
-NEVER_S = 1e9
 
-
-class Sequence(NamedTuple):
+class CommandTimes(NamedTuple):
     """Commands by their delays from now, s."""
 
     brake_on_s: float
@@ -22,16 +21,17 @@ class Sequence(NamedTuple):
     charge_on_s: float
 
 
-def sequences(period_s: float) -> tuple[Sequence, ...]:
+def sequences(period_s: float) -> tuple[CommandTimes, ...]:
     """Return the 27 sequences that are tried: a burst now or later, with or without charge."""
-    found = [Sequence(NEVER_S, NEVER_S, NEVER_S, NEVER_S)]
+    never = math.inf
+    sequences = [CommandTimes(never, never, never, never)]
     for delay in (0, 1, 2, 3):
         for length in (1, 2, 4):
             on_s, off_s = delay * period_s, (delay + length) * period_s
-            found.append(Sequence(on_s, off_s, NEVER_S, NEVER_S))
-            found.append(Sequence(on_s, off_s, on_s, off_s))
-    found += [Sequence(NEVER_S, NEVER_S, 0.0, length * period_s) for length in (1, 2)]
-    return tuple(found)
+            sequences.append(CommandTimes(on_s, off_s, never, never))
+            sequences.append(CommandTimes(on_s, off_s, on_s, off_s))
+    sequences += [CommandTimes(never, never, 0.0, length * period_s) for length in (1, 2)]
+    return tuple(sequences)
 
 
 class Predictive(Foresight):
@@ -64,6 +64,6 @@ class Predictive(Foresight):
         return Command(best.charge_off_s > 0.0, best.brake_on_s <= 0.0)
 
     def _cost(self, outcome: Outcome) -> float:
-        own = self.parameters
-        late = own.time_weight_m_s2 * outcome.time_s
-        return outcome.speed_m_s + late + own.way_weight_per_s * outcome.left_m
+        parameters = self.parameters
+        late = parameters.time_weight_m_s2 * outcome.time_s
+        return outcome.speed_m_s + late + parameters.way_weight_per_s * outcome.left_m

@@ -42,9 +42,9 @@ class SlidingMode(IntoGear):
 
     def decide(self, progress: Progress) -> Command:
         """Choose by the side of the surface."""
-        own = self.parameters
-        goal_m = self.config.windows.stroke_m + own.beyond_m
-        side_m_s = own.slope_per_s * (goal_m - progress.travelled_m) - progress.speed_m_s
-        if side_m_s > own.band_m_s:
+        parameters = self.parameters
+        goal_m = self.config.windows.stroke_m + parameters.beyond_m
+        side_m_s = parameters.slope_per_s * (goal_m - progress.travelled_m) - progress.speed_m_s
+        if side_m_s > parameters.band_m_s:
             return PUSH
-        return BRAKE if side_m_s < -own.band_m_s else REST
+        return BRAKE if side_m_s < -parameters.band_m_s else REST

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable
 from typing import Annotated, ClassVar
 
 from controller.settings import bounded
@@ -14,9 +16,6 @@ from controller.strategies.into_gear import (
     within,
 )
 
-REPORTS = 3
-"""Reports of the speeds that the forecast rests on."""
-
 
 class SynchroBrake(IntoGear):
     """Brake so that the counter-pressure is there when the shafts run together.
@@ -24,8 +23,8 @@ class SynchroBrake(IntoGear):
     While the synchronizer blocks, the difference of the speeds falls; the parabola through its
     last three reports says when it will be zero, which is when the stay is let go. The neutral
     chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one is left
-    from `rest_lead_s` before it for `rest_s` (a valve follows only if it closes in less than that). The forecast is made anew with every report until
-    the first of the two begins; no brake if the release is too near or the force too small.
+    from `rest_lead_s` before it for `rest_s` (a valve follows only if it closes in less than that).
+    Every report renews the forecast until the first of the two begins; no brake if the release is too near or the force too small.
     Some 50 additions, multiplications and comparisons a step, and a square root.
     Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds,
     it is the open loop.
@@ -49,56 +48,61 @@ class SynchroBrake(IntoGear):
     name: ClassVar[str] = "synchro_brake"
     parameters: SynchroBrake.Parameters
 
-    _reports: tuple[tuple[float, float], ...] = ()
     _release_s: float | None = None
     _brake_s: float | None = None
     _rest_s: float | None = None
 
     def reset(self) -> None:
         """Forget the reports, the forecast and what has begun."""
-        self._reports = ()
+        self._reports: deque[tuple[float, float]] = deque(maxlen=3)
         self._release_s = self._brake_s = self._rest_s = None
 
     def decide(self, progress: Progress) -> Command:
         """Push but for the two intervals before and after the forecast release."""
-        own = self.parameters
+        parameters = self.parameters
         # the step nearest to an instant acts for it
         now_s = progress.spent_s + 0.5 * self.config.period_s
         if self._brake_s is None and self._rest_s is None:
             self._note(progress)
-            if self._release_s is None or self._release_s - now_s < own.least_lead_s:
+            if self._release_s is None or self._release_s - now_s < parameters.least_lead_s:
                 return PUSH
         assert self._release_s is not None
-        if self._brake_s is None and now_s >= self._release_s - own.brake_lead_s:
+        if self._brake_s is None and now_s >= self._release_s - parameters.brake_lead_s:
             self._brake_s = now_s
-        if self._rest_s is None and now_s >= self._release_s - own.rest_lead_s:
+        if self._rest_s is None and now_s >= self._release_s - parameters.rest_lead_s:
             self._rest_s = now_s
-        brake = within(self._brake_s, now_s, own.burst_s)
-        rest = within(self._rest_s, now_s, own.rest_s)
+        brake = within(self._brake_s, now_s, parameters.burst_s)
+        rest = within(self._rest_s, now_s, parameters.rest_s)
         return Command(not rest, brake)
 
     def _note(self, progress: Progress) -> None:
         """Take a new report, and forecast when the speeds will be equal."""
         if progress.apart_rad_s is None:
-            self._reports = ()
+            self._reports.clear()
             self._release_s = None
             return
         if self._reports and progress.apart_s <= self._reports[-1][0]:
             return
-        self._reports = (*self._reports, (progress.apart_s, progress.apart_rad_s))[-REPORTS:]
-        if len(self._reports) == REPORTS:
-            self._release_s = self._forecast_s()
+        self._reports.append((progress.apart_s, progress.apart_rad_s))
+        if len(self._reports) == 3:
+            self._release_s = release_s(self._reports, self.parameters)
 
-    def _forecast_s(self) -> float | None:
-        """Zero of the parabola d2 - now t - growth t^2 / 2 through the reports; None for no fall."""
-        (t0_s, d0), (t1_s, d1), (t2_s, d2) = self._reports
-        own = self.parameters
-        if d1 - d2 < own.least_rad_s:
-            return None
-        first, second = (d0 - d1) / (t1_s - t0_s), (d1 - d2) / (t2_s - t1_s)
-        growth = max(0.0, 2.0 * (second - first) / (t2_s - t0_s))
-        now = second + 0.5 * growth * (t2_s - t1_s)
-        last: float = (now * now + 2.0 * growth * d2) ** 0.5
-        if last < own.least_fall_rad_s2 or now < 0.5 * own.least_fall_rad_s2:
-            return None
-        return t2_s + 2.0 * d2 / (now + last)
+
+def release_s(
+    reports: Iterable[tuple[float, float]], parameters: SynchroBrake.Parameters
+) -> float | None:
+    """Return when the parabola through three reports is zero, None if it falls too little.
+
+    `reports`: time, s, and difference of the speeds, rad/s. With the fall and its growth at the
+    last report, difference(t) = d2 - fall t - growth t^2 / 2.
+    """
+    (t0_s, d0), (t1_s, d1), (t2_s, d2) = reports
+    if d1 - d2 < parameters.least_rad_s:
+        return None
+    first, second = (d0 - d1) / (t1_s - t0_s), (d1 - d2) / (t2_s - t1_s)
+    growth = max(0.0, 2.0 * (second - first) / (t2_s - t0_s))
+    fall = second + 0.5 * growth * (t2_s - t1_s)
+    last: float = (fall * fall + 2.0 * growth * d2) ** 0.5
+    if last < parameters.least_fall_rad_s2 or fall < 0.5 * parameters.least_fall_rad_s2:
+        return None
+    return t2_s + 2.0 * d2 / (fall + last)

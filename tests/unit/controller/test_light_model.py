@@ -9,7 +9,7 @@ import pytest
 from controller.config import FirmwareConfig
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.filters import SectionFilter, butterworth
-from controller.light_model import R_AIR_J_KG_K, LightModel, ModelSettings, Motion, Valve
+from controller.light_model import LightModel, ModelSettings, Motion, Valve
 from controller.settings import FilterConfig
 
 STROKE_M = 0.01285
@@ -39,7 +39,7 @@ def test_a_choked_chamber_empties_exponentially() -> None:
     motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.driving_pa = 8e5
     outflow = settings.venting_alpha_flow * settings.flow_out
-    rate_per_s = R_AIR_J_KG_K * outflow / settings.driving_m3
+    rate_per_s = 287.0 * outflow / settings.driving_m3
     for _ in range(1000):
         model.step(motion, False, False, 1e-5)
     assert motion.stay_m_s == 0.0
@@ -324,7 +324,3 @@ def test_commands_reach_the_valves_after_the_way_over_the_bus() -> None:
     for valve in (observer.driving, observer.braking):
         assert valve.wanted is False
         assert valve.due_s == pytest.approx(0.01 + 0.00038 + 0.035, abs=1e-12)
-
-
-def test_the_gas_is_air() -> None:
-    assert R_AIR_J_KG_K == 287.0  # J/(kg K)

@@ -11,7 +11,7 @@ from can_dbc.messages import Chamber, Gear
 from controller import strategies
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
-from controller.strategies import Duties, ShiftContext, Strategy
+from controller.strategies import Duties, ShiftContext, Strategy, synchro_brake
 from controller.strategies.into_gear import Command, IntoGear, Progress
 from controller.strategies.synchro_brake import SynchroBrake
 
@@ -269,10 +269,9 @@ def test_on_the_edges_of_its_band_the_sliding_mode_rests() -> None:
 def test_a_fall_as_large_as_the_least_is_one(
     reports: Any, limits: dict[str, float], release_s: float
 ) -> None:
-    strategy = made("synchro_brake", **{"least_rad_s": 0.0, "least_fall_rad_s2": 0.0} | limits)
-    assert isinstance(strategy, SynchroBrake)
-    strategy._reports = reports
-    assert strategy._forecast_s() == pytest.approx(release_s, rel=1e-9)
+    limits = {"least_rad_s": 0.0, "least_fall_rad_s2": 0.0} | limits
+    forecast_s = synchro_brake.release_s(reports, SynchroBrake.Parameters(**limits))
+    assert forecast_s == pytest.approx(release_s, rel=1e-9)
 
 
 @pytest.mark.parametrize("late", [0, 1])
@@ -294,12 +293,13 @@ def test_the_synchro_brake_s_times_are_exact_in_steps(late: int) -> None:
     )
     assert isinstance(strategy, SynchroBrake)
     strategy.reset()
-    strategy._release_s = 8.5 * step_s  # steps act for the half period after and before them
-    commands = {}
-    for k in range(4 + late, 12):
-        now = Progress(k * step_s, 0.0, 0.0, 1, 100.0, 0.0)
-        strategy._reports = ((0.0, 100.0),)  # nothing new
-        commands[k] = strategy.decide(now)
+    # a straight fall that ends after 8.5 steps: steps act for the half period after and before them
+    for k, apart_rad_s in enumerate((34.0, 30.0, 26.0)):
+        strategy.decide(Progress(k * step_s, 0.0, 0.0, 1, apart_rad_s, k * step_s))
+    commands = {
+        k: strategy.decide(Progress(k * step_s, 0.0, 0.0, 1, 26.0, 2 * step_s))
+        for k in range(4 + late, 12)
+    }
     resting, braking = ([4, 5, 6], [6, 7]) if not late else ([], [])
     assert [k for k, command in commands.items() if not command.charge] == resting
     assert [k for k, command in commands.items() if command.brake] == braking
@@ -307,15 +307,11 @@ def test_the_synchro_brake_s_times_are_exact_in_steps(late: int) -> None:
 
 def forecast(v: float, g: float, end_s: float, **parameters: Any) -> float | None:
     """Forecast of the release at `end_s`, from reports of a fall v + g t at 0, 10 and 20 ms."""
-    strategy = made("synchro_brake", **parameters)
-    assert isinstance(strategy, SynchroBrake)
     apart = v * end_s + g * end_s**2 / 2
     begun_s = 0.25
-    strategy._reports = tuple(
-        (begun_s + t, apart - v * t - g * t**2 / 2) for t in (0.0, 0.01, 0.02)
-    )
-    found_s = strategy._forecast_s()
-    return None if found_s is None else found_s - begun_s
+    reports = [(begun_s + t, apart - v * t - g * t**2 / 2) for t in (0.0, 0.01, 0.02)]
+    release_s = synchro_brake.release_s(reports, SynchroBrake.Parameters(**parameters))
+    return None if release_s is None else release_s - begun_s
 
 
 @pytest.mark.parametrize(
@@ -344,13 +340,16 @@ def test_too_weak_a_fall_is_no_release_to_brake() -> None:
     assert forecast(49.0, 0.0, 0.1, least_fall_rad_s2=0.0, least_rad_s=0.5) is None
 
 
-def test_reports_that_stop_are_forgotten_and_begin_anew() -> None:
+@pytest.mark.parametrize("gap", [None, 62.0])
+def test_reports_that_stop_are_forgotten_and_begin_anew(gap: float | None) -> None:
+    """Only with the report at 10 ms are there three when the release at 72 ms can be braked."""
     strategy = made("synchro_brake")
-    assert isinstance(strategy, SynchroBrake)
-    for k, apart_rad_s in enumerate((100.0, 90.0, None, 70.0, 60.0)):
-        strategy.decide(Progress(0.01 * k, 0.0, 0.0, 1, apart_rad_s, 0.01 * k))
-        assert (apart_rad_s is None) == (strategy._reports == ())
-    assert strategy._reports == ((0.03, 70.0), (0.04, 60.0))
+    assert isinstance(strategy, IntoGear)
+    braked = False
+    for k, apart_rad_s in enumerate((72.0, gap, 52.0, 42.0, 42.0, 42.0, 42.0)):
+        new = min(k, 3) * 0.01
+        braked |= strategy.decide(Progress(0.01 * k, 0.0, 0.0, 1, apart_rad_s, new)).brake
+    assert braked is (gap is not None)
 
 
 @pytest.mark.parametrize("period_ns", [10 * MS, 5 * MS, 2_500_000, 2 * MS])

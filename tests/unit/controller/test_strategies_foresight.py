@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from itertools import chain
 from typing import Any
@@ -17,7 +18,7 @@ from controller.light_model import LightModel, ModelSettings
 from controller.position import Estimate, Sample
 from controller.settings import FilterConfig, SensorConfig
 from controller.strategies import ShiftContext, Strategy
-from controller.strategies.bang_bang import STORED, BangBang, stored_s
+from controller.strategies.bang_bang import BangBang, stored_s
 from controller.strategies.foresight import Foresight, Outcome
 from controller.strategies.into_gear import Command, Progress
 from controller.strategies.predictive import sequences
@@ -29,6 +30,9 @@ QUICK = FirmwareConfig(
 )
 PUSH = ShiftContext(Gear.BACKWARD, Chamber.B, 0, 0)
 QUICK_VALVES = {"model": {"valve_close_s": 0.005}, "observer": {"sensor_age_s": 0.0}}
+
+TABLE = BangBang.Parameters().table
+N = math.inf  # never
 
 
 def made(name: str, **parameters: Any) -> Foresight:
@@ -74,7 +78,7 @@ def test_with_the_true_model_and_quick_hardware_the_stop_is_soft(name: str) -> N
 def test_a_trial_is_the_observer_s_model_run_on() -> None:
     strategy = made("predictive", **QUICK_VALVES)
     strategy.observer.command(True, False)
-    found = strategy.trial(1e9, 1e9, 1e9, 1e9)
+    found = strategy.trial(N, N, N, N)
     speed_m_s = 0.0
     observer = strategy.observer
     while observer.motion.stay_m < observer.model.stroke_m:
@@ -89,18 +93,18 @@ def test_a_trial_leaves_the_observer_as_it_was() -> None:
     strategy = made("predictive", **QUICK_VALVES)
     strategy.observer.command(True, False)
     strategy.observer.advance(0.01, 0.0, 0)
-    first = strategy.trial(0.0, 0.01, 1e9, 1e9)
-    assert strategy.trial(0.0, 0.01, 1e9, 1e9) == first
+    first = strategy.trial(0.0, 0.01, N, N)
+    assert strategy.trial(0.0, 0.01, N, N) == first
     assert strategy.observer.time_s == pytest.approx(0.01)
 
 
 def test_stored_times_lie_on_lines_between_the_entries() -> None:
-    for pressure_pa, switch_s in STORED:
-        assert stored_s(STORED, pressure_pa) == switch_s
-    (low_pa, low_s), (high_pa, high_s) = STORED[:2]
-    assert stored_s(STORED, 0.5 * (low_pa + high_pa)) == pytest.approx(0.5 * (low_s + high_s))
-    assert stored_s(STORED, 1e5) == STORED[0][1]
-    assert stored_s(STORED, 1e7) == STORED[-1][1]
+    for pressure_pa, switch_s in TABLE:
+        assert stored_s(TABLE, pressure_pa) == switch_s
+    (low_pa, low_s), (high_pa, high_s) = TABLE[:2]
+    assert stored_s(TABLE, 0.5 * (low_pa + high_pa)) == pytest.approx(0.5 * (low_s + high_s))
+    assert stored_s(TABLE, 1e5) == TABLE[0][1]
+    assert stored_s(TABLE, 1e7) == TABLE[-1][1]
 
 
 def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
@@ -109,7 +113,7 @@ def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
     still = Estimate(True, 0.0, 0.0, 0.0, ())
     braked = [strategy.command(tick * 2_500_000, still, PUSH).n > 0.5 for tick in range(40)]
     begun = braked.index(True)
-    assert begun == round(stored_s(STORED, 9e5) / 0.0025)
+    assert begun == round(stored_s(TABLE, 9e5) / 0.0025)
     assert braked == [begun <= tick < begun + 8 for tick in range(40)]
 
 
@@ -232,11 +236,11 @@ def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
 @pytest.mark.parametrize(
     "sequence",
     [
-        (1e9, 1e9, 1e9, 1e9),
-        (0.0, 0.002, 1e9, 1e9),
+        (N, N, N, N),
+        (0.0, 0.002, N, N),
         (0.002, 0.004, 0.001, 0.003),
         (0.02, 0.03, 0.02, 0.03),
-        (1e9, 1e9, 0.0, 0.002),
+        (N, N, 0.0, 0.002),
     ],
 )
 def test_a_trial_is_the_model_with_the_commands_at_their_steps(
@@ -267,7 +271,6 @@ def test_a_trial_is_the_model_with_the_commands_at_their_steps(
     assert strategy.observer.motion.stay_m == 0.0  # and it has moved nothing
 
 
-N = 1e9  # never
 BURSTS = [(begin, begin + lasts) for begin in range(4) for lasts in (1, 2, 4)]
 CHARGED = [[(*burst, N, N), (*burst, *burst)] for burst in BURSTS]
 TRIED = ((N, N, N, N), *chain(*CHARGED), (N, N, 0, 1), (N, N, 0, 2))
@@ -282,11 +285,11 @@ def test_the_sequences_that_are_tried_in_periods() -> None:
 @pytest.mark.parametrize(
     ("best", "command"),
     [
-        ((1e9, 1e9, 1e9, 1e9), Command(True, False)),
-        ((0.0, 0.02, 1e9, 1e9), Command(True, True)),
+        ((N, N, N, N), Command(True, False)),
+        ((0.0, 0.02, N, N), Command(True, True)),
         ((0.0, 0.02, 0.0, 0.02), Command(False, True)),
-        ((0.01, 0.02, 1e9, 1e9), Command(True, False)),
-        ((1e9, 1e9, 0.0, 0.01), Command(False, False)),
+        ((0.01, 0.02, N, N), Command(True, False)),
+        ((N, N, 0.0, 0.01), Command(False, False)),
     ],
 )
 @pytest.mark.parametrize("by", ["speed", "time", "way"])
