@@ -36,8 +36,6 @@ _SI = {
 """Unit of the DBC: numerator and denominator that turn its numbers into SI (into 1 for %)."""
 
 _NO_VALUE = (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError)
-_NOT_AVAILABLE_FROM = {2: 2, 8: 0xFE, 16: 0xFE00}
-"""First raw value of a width that means error or not available (SAE J1939-71, 5.1)."""
 
 
 class _Conversion(NamedTuple):
@@ -93,9 +91,6 @@ def _whole(signal: SignalSpec) -> _Conversion:
     return _Conversion(to_raw, from_raw, expected)
 
 
-_TRUTH = {False: 0, True: 1}  # also of numpy
-
-
 def _choice(kind: type[int], signal: SignalSpec) -> _Conversion:
     """Return the conversion of a bool or a member of an enum."""
     last = 1 if kind is bool else int(signal.maximum)  # J1939 has more states of two bits
@@ -105,7 +100,7 @@ def _choice(kind: type[int], signal: SignalSpec) -> _Conversion:
             raise TypeError
         return int(value)
 
-    to_raw = _TRUTH.__getitem__ if kind is bool else member_to_raw
+    to_raw = {False: 0, True: 1}.__getitem__ if kind is bool else member_to_raw  # also of numpy
     from_raw = tuple(kind(raw) for raw in range(last + 1)).__getitem__
     return _Conversion(to_raw, from_raw, f"a {kind.__name__}")
 
@@ -129,7 +124,8 @@ _TEXT = _Conversion(_text_to_raw, _text_from_raw, "two characters of codes 0 to 
 
 def _optional(inner: _Conversion, signal: SignalSpec) -> _Conversion:
     """Return that of a J1939 value or None: sent as all ones, received as error or as missing."""
-    missing_from = signal.mask if inner is _TEXT else _NOT_AVAILABLE_FROM[signal.length]
+    # first raw value of a width that means error or not available (SAE J1939-71, 5.1)
+    missing_from = signal.mask if inner is _TEXT else {2: 2, 8: 0xFE, 16: 0xFE00}[signal.length]
 
     def to_raw(value: Any) -> int:
         return signal.mask if value is None else inner.to_raw(value)
@@ -257,9 +253,9 @@ def message_type_of(can_id: int) -> type | None:
 @cache
 def _codec(message_type: type) -> _MessageCodec:
     if message_type not in SIGNALS:
-        known = ", ".join(kind.__name__ for kind in SIGNALS)
+        names = ", ".join(kind.__name__ for kind in SIGNALS)
         raise CodecError(
-            f"opc4.dbc: {message_type.__name__} is not a message; expected one of {known}"
+            f"opc4.dbc: {message_type.__name__} is not a message; expected one of {names}"
         )
     return _MessageCodec(message_type)
 

@@ -13,9 +13,6 @@ from os import path
 from typing import NamedTuple
 
 DBC_PATH = path.join(path.dirname(path.abspath(__file__)), "opc4.dbc")
-_EXTENDED = 1 << 31
-_MS = 1_000_000
-_US = 1_000
 
 
 class SignalSpec(NamedTuple):
@@ -58,22 +55,17 @@ class MessageSpec(NamedTuple):
         return {signal.name: signal for signal in self.signals}[name]
 
 
-_MESSAGE = re.compile(r"^BO_ (\d+) (\w+): (\d+) (\w+)\n((?: SG_ .*\n)*)", re.MULTILINE)
-_SIGNAL = re.compile(
-    r" SG_ (\w+) : (\d+)\|(\d+)@1([+-]) \((.+?),(.+?)\) \[(.+?)\|(.+?)\] \"(.*?)\" "
-)
-_SENDERS = re.compile(r"^BO_TX_BU_ (\d+) : ([\w,]+);", re.MULTILINE)
-_RECEIVERS = re.compile(r"\" +([\w,]+)$", re.MULTILINE)
-_ATTRIBUTE = re.compile(r"^BA_ \"(\w+)\" BO_ (\d+) \"?(\w*)\"?;", re.MULTILINE)
-
-
 def _number(text: str) -> float:
     """Return an int where the text is one, as cantools does, so that integers stay exact."""
     return float(text) if "." in text else int(text)
 
 
-def _signal(name: str, start: str, length: str, sign: str, *numbers_and_unit: str) -> SignalSpec:
-    *numbers, unit = numbers_and_unit
+def _signal(line: str) -> SignalSpec:
+    parts = re.match(
+        r" SG_ (\w+) : (\d+)\|(\d+)@1([+-]) \((.+?),(.+?)\) \[(.+?)\|(.+?)\] \"(.*?)\" ", line
+    )
+    assert parts is not None, line
+    name, start, length, sign, *numbers, unit = parts.groups()
     factor, offset, minimum, maximum = map(_number, numbers)
     return SignalSpec(
         name, int(start), int(length), sign == "-", factor, offset, minimum, maximum, unit
@@ -85,19 +77,23 @@ def contract() -> dict[str, MessageSpec]:
     """Return the messages of opc4.dbc by name, in the order of the file, which is read once."""
     with open(DBC_PATH, encoding="ascii") as file:
         text = file.read()
-    senders = dict(_SENDERS.findall(text))
-    attributes = {(name, number): value for name, number, value in _ATTRIBUTE.findall(text)}
+    senders = dict(re.findall(r"^BO_TX_BU_ (\d+) : ([\w,]+);", text, re.MULTILINE))
+    values = re.findall(r"^BA_ \"(\w+)\" BO_ (\d+) \"?(\w*)\"?;", text, re.MULTILINE)
+    attributes = {(name, number): value for name, number, value in values}
+    messages = re.findall(r"^BO_ (\d+) (\w+): (\d+) (\w+)\n((?: SG_ .*\n)*)", text, re.MULTILINE)
     return {
         name: MessageSpec(
             name=name,
-            can_id=int(number) & ~_EXTENDED,
+            can_id=int(number) & 0x1FFF_FFFF,
             length=int(length),
             senders=tuple(senders.get(number, sender).split(",")),
-            receivers=frozenset(",".join(_RECEIVERS.findall(signals)).split(",")),
-            signals=tuple(_signal(*parts) for parts in _SIGNAL.findall(signals)),
-            cycle_ns=int(attributes.get(("GenMsgCycleTime", number), 0)) * _MS,
-            jitter_ns=int(attributes.get(("GenMsgJitterUs", number), 0)) * _US,
+            receivers=frozenset(
+                ",".join(re.findall(r"\" +([\w,]+)$", lines, re.MULTILINE)).split(",")
+            ),
+            signals=tuple(map(_signal, lines.splitlines())),
+            cycle_ns=int(attributes.get(("GenMsgCycleTime", number), 0)) * 1_000_000,
+            jitter_ns=int(attributes.get(("GenMsgJitterUs", number), 0)) * 1_000,
             e2e_data_ids=bytes.fromhex(attributes.get(("E2EDataIdList", number), "")),
         )
-        for number, name, length, sender, signals in _MESSAGE.findall(text)
+        for number, name, length, sender, lines in messages
     }

@@ -17,25 +17,6 @@ if TYPE_CHECKING:
     from cantools.database import Database
 
 LARGEST_FILE = 64 << 20
-LONGEST_MESSAGE = 1785
-"""Bytes of a J1939 transport protocol message, the longest that a DBC for CAN describes."""
-
-_MOST_MULTIPLEXED = 4096
-_LARGEST_POWER = 400
-_LARGEST_NUMBER = 1e300
-_LONGEST_CYCLE_MS = 10**12
-_LONGEST_REASON = 160
-# As cantools splits the text: comments to the end of the line, strings with \" inside, words and
-# numbers. A word never starts with a digit, since the number before it is taken first.
-_UNREAD = re.compile(r'//.*\n|"(?:\\"|[^"])*?"')
-_POWER = re.compile(r"[A-Za-z_]\w*|(?<!\d)\d++\.?+\d*+[eE][+-]?(\d+)")
-_QUOTED_POWER = re.compile(r'"\s*[-+]?\d[\d_.]*[eE][+-]?(\d[\d_]*)\s*"')
-_TEXT_ATTRIBUTE = re.compile(r'\bBA_DEF_\w*\s+(?:\w+\s+)?"([^"]*)"\s+STRING\b')
-_ATTRIBUTE_VALUE = re.compile(r'\bBA_\w*\s+"([^"]*)"[^";]*\Z')
-_MESSAGE = re.compile(r"\bBO_\s+[-+]?(\d+)\s+(\w+)\s*:\s*[-+]?(\d+)")
-_SIGNAL = re.compile(r"\bSG_\s+(\w+)[^:;]*:([^:;|]*)\|([^:;@]*)@\s*(\S?)")
-_MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\b[^;]*")
-_RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
 
 
 def load_dbc(path: str | os.PathLike[str], strict: bool = True) -> Database:
@@ -95,11 +76,14 @@ def _decoded(content: bytes, source: str) -> str:
 
 def _refuse_impossible(text: _Text) -> None:
     """Refuse what cantools would expand without end, or overwrite or misread silently."""
-    code = _UNREAD.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text.text)
+    # as cantools splits the text: comments to the end of the line, strings with \" inside
+    unread = r'//.*\n|"(?:\\"|[^"])*?"'
+    code = re.sub(unread, lambda match: re.sub(r"[^\n]", " ", match.group()), text.text)
     _refuse_huge_powers(text, code)
+    longest_message = 1785  # bytes of a J1939 transport protocol message
     names: set[str] = set()
     identifiers: dict[str, str] = {}
-    for match in _MESSAGE.finditer(code):
+    for match in re.finditer(r"\bBO_\s+[-+]?(\d+)\s+(\w+)\s*:\s*[-+]?(\d+)", code):
         identifier, name, length = match.group(1).lstrip("0"), match.group(2), match.group(3)
         if name in names:
             text.refuse(match.start(), f"message {name} is declared twice")
@@ -108,39 +92,42 @@ def _refuse_impossible(text: _Text) -> None:
             text.refuse(match.start(), f"messages {other} and {name} share an identifier")
         names.add(name)
         identifiers[identifier] = name
-        if _above(length, LONGEST_MESSAGE):
-            what = f"message {name} has {length[:20]} bytes; expected at most {LONGEST_MESSAGE}"
+        if _above(length, longest_message):
+            what = f"message {name} has {length[:20]} bytes; expected at most {longest_message}"
             text.refuse(match.start(), what)
-    for match in _SIGNAL.finditer(code):
+    for match in re.finditer(r"\bSG_\s+(\w+)[^:;]*:([^:;|]*)\|([^:;@]*)@\s*(\S?)", code):
         name, start, length, order = match.groups()
         if order not in ("0", "1"):
             what = f"signal {name} has byte order {order!r}; expected 0 (big-endian) or 1 (little-endian)"
             text.refuse(match.start(), what)
         for number in (re.sub(r"\D", "", start), re.sub(r"\D", "", length)):
-            if _above(number, 8 * LONGEST_MESSAGE):
-                limit = f"expected at most {8 * LONGEST_MESSAGE}"
+            if _above(number, 8 * longest_message):
+                limit = f"expected at most {8 * longest_message}"
                 text.refuse(match.start(), f"signal {name} reaches bit {number[:20]}; {limit}")
-    for statement in _MULTIPLEXED.finditer(code):
+    for statement in re.finditer(r"\bSG_MUL_VAL_\b[^;]*", code):
         values = 0
-        for match in _RANGE.finditer(statement.group()):
+        for match in re.finditer(r"(\d+)\s*-\s*(\d+)", statement.group()):
             low, high = match.groups()
             huge = _above(high, 1 << 63) or _above(low, 1 << 63)
             values += 0 if huge else max(0, int(high) - int(low) + 1)
-            if huge or values > _MOST_MULTIPLEXED:
-                limit = f"expected at most {_MOST_MULTIPLEXED} values of a signal"
+            if huge or values > 4096:
+                limit = "expected at most 4096 values of a signal"
                 offset = statement.start() + match.start()
                 text.refuse(offset, f"multiplexer range {low[:20]}-{high[:20]}; {limit}")
 
 
 def _refuse_huge_powers(text: _Text, code: str) -> None:
     """Refuse powers of ten that would take for ever, or all memory, as whole numbers."""
-    for match in _POWER.finditer(code):
-        if match.group(1) and _above(match.group(1), _LARGEST_POWER):
+    largest_power = 400
+    # a word never starts with a digit, since the number before it is taken first
+    for match in re.finditer(r"[A-Za-z_]\w*|(?<!\d)\d++\.?+\d*+[eE][+-]?(\d+)", code):
+        if match.group(1) and _above(match.group(1), largest_power):
             text.refuse(match.start(), f"number {match.group()[:40]} has no use")
-    texts = set(_TEXT_ATTRIBUTE.findall(text.text))
-    for match in _QUOTED_POWER.finditer(text.text):
-        if _above(match.group(1).replace("_", ""), _LARGEST_POWER):
-            attribute = _ATTRIBUTE_VALUE.search(text.text, 0, match.start())
+    texts = set(re.findall(r'\bBA_DEF_\w*\s+(?:\w+\s+)?"([^"]*)"\s+STRING\b', text.text))
+    value_of = re.compile(r'\bBA_\w*\s+"([^"]*)"[^";]*\Z')
+    for match in re.finditer(r'"\s*[-+]?\d[\d_.]*[eE][+-]?(\d[\d_]*)\s*"', text.text):
+        if _above(match.group(1).replace("_", ""), largest_power):
+            attribute = value_of.search(text.text, 0, match.start())
             if attribute and attribute.group(1) not in texts:
                 text.refuse(match.start(), f"number {match.group()[:40]} has no use")
 
@@ -166,14 +153,14 @@ def _offset_of(error: Exception, text: str) -> int | None:
             sought += rf"[^;]*?\n[ \t]*(?=SG_\s+{signal.group(1)}\b)"
     else:
         return None
-    found = re.search(sought, text, re.MULTILINE)
-    return None if found is None else max(found.start(), found.end() - 1)
+    place = re.search(sought, text, re.MULTILINE)
+    return None if place is None else max(place.start(), place.end() - 1)
 
 
 def _reason(error: Exception) -> str:
     text = " ".join(str(error).split()).removesuffix(".")
-    if len(text) > _LONGEST_REASON:
-        text = text[: _LONGEST_REASON - 3] + "..."
+    if len(text) > 160:
+        text = text[:157] + "..."
     column = getattr(error, "column", None)
     if column is not None:
         return f"column {column}: {text.split(': ', 1)[-1]} is not DBC grammar; expected a DBC file"
@@ -190,7 +177,7 @@ def _refuse_unusable(database: Database, text: _Text) -> None:
         declared = re.search(rf"\bBO_\s+\d+\s+{re.escape(message.name)}\b", text.text)
         offset = declared.start() if declared else None
         cycle_ms = message.cycle_time
-        number = isinstance(cycle_ms, int | float) and 0 <= cycle_ms < _LONGEST_CYCLE_MS
+        number = isinstance(cycle_ms, int | float) and 0 <= cycle_ms < 10**12
         if cycle_ms is not None and not number:
             given = f"cycle time {str(cycle_ms)[:30]!r}; expected 0 to 10^12 milliseconds"
             text.refuse(offset, f"message {message.name}: {given}")
@@ -200,5 +187,5 @@ def _refuse_unusable(database: Database, text: _Text) -> None:
             if scale == 0:
                 text.refuse(offset, f"{where}: factor 0")
             for value in (scale, shift, signal.minimum, signal.maximum):
-                if value is not None and not abs(value) <= _LARGEST_NUMBER:
+                if value is not None and not abs(value) <= 1e300:
                     text.refuse(offset, f"{where}: {str(value)[:30]}; expected a finite number")

@@ -25,8 +25,6 @@ from can_dbc.frame import Frame
 from can_dbc.messages import SIGNALS, E2eState
 
 COUNTERS = 16
-LARGEST_COUNTER = COUNTERS - 1
-TIMEOUT_CYCLES = 3
 
 PROTECTED: tuple[type, ...] = tuple(kind for kind in SIGNALS if spec_of(kind).e2e_data_ids)
 """Message types with counter and CRC."""
@@ -51,9 +49,6 @@ class E2eStatus(Enum):
 
 ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
 """Frames whose content is accepted."""
-
-_ALIVE = ACCEPTED | {E2eStatus.INITIAL}
-"""Frames that restart the timeout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +80,9 @@ class E2eConfig:
     def __post_init__(self) -> None:
         largest = {
             "timeout_ns": (1, 2**63 - 1),
-            "max_delta_counter_init": (1, LARGEST_COUNTER - 1),
-            "max_no_new_or_repeated": (0, LARGEST_COUNTER),
-            "sync_counter_init": (0, LARGEST_COUNTER),
+            "max_delta_counter_init": (1, COUNTERS - 2),
+            "max_no_new_or_repeated": (0, COUNTERS - 1),
+            "sync_counter_init": (0, COUNTERS - 1),
             "window_size": (1, 255),
             "min_ok_state_init": (1, self.window_size),
             "max_error_state_init": (0, self.window_size - 1),
@@ -103,8 +98,8 @@ class E2eConfig:
 
 
 def default_config(message_type: type) -> E2eConfig:
-    """Return the usual tolerance of a receiver: a timeout of `TIMEOUT_CYCLES` cycles of the DBC."""
-    return E2eConfig(timeout_ns=TIMEOUT_CYCLES * spec_of(message_type).cycle_ns)
+    """Return the usual tolerance of a receiver: a timeout of 3 cycles of the DBC."""
+    return E2eConfig(timeout_ns=3 * spec_of(message_type).cycle_ns)
 
 
 def _data_ids(message_type: type) -> bytes:
@@ -210,11 +205,11 @@ class Receiver(Generic[M]):
         Raises ValueError for a frame of another identifier and for time running backwards.
         """
         self._advance_to(now_ns)
-        if self._max_delta < LARGEST_COUNTER:
+        if self._max_delta < COUNTERS - 1:
             self._max_delta += 1
         status = self.status = self._check(now_ns, frame)
         self.counts[status] += 1
-        if status in _ALIVE:
+        if status in ACCEPTED or status is E2eStatus.INITIAL:
             self._alive_ns = now_ns
         self._decide(status)
         return status
@@ -241,7 +236,7 @@ class Receiver(Generic[M]):
         if isinstance(message, str):
             self.reason = message
             return E2eStatus.ERROR
-        status = self._check_counter(frame.data[1] & LARGEST_COUNTER)
+        status = self._check_counter(frame.data[1] % COUNTERS)
         if status in ACCEPTED:
             self.message = message
             self.message_ns = now_ns
@@ -278,7 +273,7 @@ class Receiver(Generic[M]):
         self._max_delta = self.config.max_delta_counter_init
 
     def _count_no_new_or_repeated(self) -> None:
-        if self._no_new_or_repeated < LARGEST_COUNTER:
+        if self._no_new_or_repeated < COUNTERS - 1:
             self._no_new_or_repeated += 1
 
     def _decide(self, status: E2eStatus) -> None:

@@ -38,22 +38,22 @@ def os_error_text(error: OSError) -> str:
     return f"{error.filename}: {why}" if error.filename else why
 
 
-def nearest(name: str, known: Iterable[str], count: int = 3, cutoff: float = 0.6) -> list[str]:
-    """Return up to `count` of the known names that resemble `name` most, best first.
+def nearest(name: str, names: Iterable[str], count: int = 3, cutoff: float = 0.6) -> list[str]:
+    """Return up to `count` of the names that resemble `name` most, best first.
 
     `cutoff`: similarity from 0 to 1 below which a name is left out.
     """
     from difflib import get_close_matches  # only needed on the way to an error
 
-    return get_close_matches(name, list(known), count, cutoff)
+    return get_close_matches(name, list(names), count, cutoff)
 
 
-def unknown_name(name: str, known: Iterable[str]) -> str:
+def unknown_name(name: str, choices: Iterable[str]) -> str:
     """Return 'unknown; expected one of ...' with the nearest names first.
 
     Of more than ten names only the nearest are listed, followed by '...'; all if none is near.
     """
-    names = list(known)
+    names = list(choices)
     near = nearest(name, names)
     others = [other for other in names if other not in near]
     listed = [*near, "..."] if near and len(names) > 10 else near + others

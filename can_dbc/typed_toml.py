@@ -24,23 +24,6 @@ from can_dbc.user_file import read_user_file
 T = TypeVar("T")
 Steps = tuple[str | int, ...]
 
-_DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){100}")
-"""A key of more than a hundred parts; nothing else has that many words between dots."""
-
-_NOTHING = object()
-"""What no type accepts, so that msgspec says what the type asks for."""
-
-_IN_TOML = {
-    "object": "table",
-    "array": "list",
-    "bool": "true or false",
-    "str": "text",
-    "int": "whole number",
-    "float": "number",
-    r" \| null": "",
-}
-"""Words of msgspec's messages, and what TOML calls them."""
-
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file into a dictionary; numbers must be finite.
@@ -54,7 +37,8 @@ def parse_toml(raw: bytes, source: str) -> dict[str, Any]:
     """Return parsed TOML bytes; `source` names the file in messages. Raises InputError."""
     try:
         text = raw.decode("utf-8-sig")
-        if _DEEP_KEY.search(text):  # tomllib's time grows with the square of a key's parts
+        # tomllib's time grows with the square of a key's parts: a hundred are too many
+        if re.search(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){100}", text):
             raise RecursionError
         table = tomllib.loads(text)
     except UnicodeDecodeError as error:
@@ -116,29 +100,29 @@ def _problem(value: Any, kind: Any, steps: Steps) -> str | None:
     plain = _plain(kind)
     origin, arguments = typing.get_origin(plain), typing.get_args(plain)
     structs = record_types(plain, value)
-    found: str | None = None
+    problem: str | None = None
     if isinstance(value, dict) and structs:
-        found = _record_problem(value, structs, steps)
+        problem = _record_problem(value, structs, steps)
     elif isinstance(value, dict) and origin is dict:
         keys = dict.fromkeys(_choices(arguments[0]) or value, arguments[1])
-        found = _inside(value, keys, steps, True)
+        problem = _inside(value, keys, steps, True)
     elif isinstance(value, list) and origin in (list, tuple):
         fixed = origin is tuple and Ellipsis not in arguments
         kinds = arguments if fixed else arguments[:1] * len(value)
         if len(kinds) == len(value):
-            found = _inside(dict(enumerate(value)), dict(enumerate(kinds)), steps, True)
-    return found or _own_problem(value, kind, steps)
+            problem = _inside(dict(enumerate(value)), dict(enumerate(kinds)), steps, True)
+    return problem or _value_problem(value, kind, steps)
 
 
 def _inside(
     value: Mapping[Any, Any], kinds: Mapping[Any, Any], steps: Steps, strict: bool
 ) -> str | None:
-    """Return the first problem of the values inside a table or list; `strict`: all keys known."""
+    """Return the first problem of the values inside a table or list; `strict`: no other key."""
     for name, child in value.items():
         if name not in kinds and strict:
             return _wrong((*steps, name), "", name, kinds)
-        if name in kinds and (found := _problem(child, kinds[name], (*steps, name))):
-            return found
+        if name in kinds and (problem := _problem(child, kinds[name], (*steps, name))):
+            return problem
     return None
 
 
@@ -149,16 +133,16 @@ def _record_problem(value: dict[str, Any], structs: list[Any], steps: Steps) -> 
         if tag in value:
             return _wrong((*steps, tag), f"{_shown(value[tag])} is", str(value[tag]), tags)
         return _missing((*steps, tag), Literal[*tags])
-    found = _inside(value, field_types(structs[0]), steps, config.forbid_unknown_fields)
-    if found:
-        return found
+    problem = _inside(value, field_types(structs[0]), steps, config.forbid_unknown_fields)
+    if problem:
+        return problem
     for field in _fields(structs[0]):
         if field.required and field.encode_name not in value:
             return _missing((*steps, field.encode_name), field.type)
     return None
 
 
-def _own_problem(value: Any, kind: Any, steps: Steps) -> str | None:
+def _value_problem(value: Any, kind: Any, steps: Steps) -> str | None:
     """Return what is wrong with a value apart from the values inside it."""
     try:
         msgspec.convert(value, kind)
@@ -178,7 +162,16 @@ def _expected(what: str, kind: Any) -> str:
     if what == "Number out of range":
         return "a smaller number"
     expected = what.removeprefix("Expected ").split(", got ")[0].replace("`", "")
-    for word, in_toml in _IN_TOML.items():
+    in_toml_words = {
+        "object": "table",
+        "array": "list",
+        "bool": "true or false",
+        "str": "text",
+        "int": "whole number",
+        "float": "number",
+        r" \| null": "",
+    }
+    for word, in_toml in in_toml_words.items():
         expected = re.sub(rf"\b{word}\b", in_toml, expected)
     expected = expected.replace(" | ", " or ").strip()
     if expected.startswith(("table", "list")):
@@ -205,14 +198,14 @@ def _asked(kind: Any) -> str:
     if choices := _choices(kind):
         return f"one of {', '.join(choices)}"
     try:
-        msgspec.convert(_NOTHING, kind)
+        msgspec.convert(object(), kind)  # what no type accepts
     except msgspec.ValidationError as error:
         return _expected(str(error), kind)
     return ""
 
 
-def _wrong(steps: Steps, what: str, name: str, known: Iterable[str]) -> str:
-    return f"{_location(steps)}: {what} {unknown_name(name, known)}".replace(":  ", ": ")
+def _wrong(steps: Steps, what: str, name: str, choices: Iterable[str]) -> str:
+    return f"{_location(steps)}: {what} {unknown_name(name, choices)}".replace(":  ", ": ")
 
 
 def _missing(steps: Steps, kind: Any) -> str:
@@ -242,7 +235,7 @@ def _plain(kind: Any) -> Any:
 
 
 def record_types(kind: Any, value: Any) -> list[Any]:
-    """Return the record types that a value of this type may be; a known tag picks one."""
+    """Return the record types that a value of this type may be; its tag picks one."""
     structs = [m for m in _members(kind) if isinstance(m, type) and issubclass(m, msgspec.Struct)]
     for struct in structs:
         config = struct.__struct_config__
@@ -257,13 +250,13 @@ _fields = functools.cache(msgspec.structs.fields)
 
 def field_types(kind: Any, value: Any = None) -> dict[str, Any]:
     """Return the fields of a record type (or tagged union) by their names in the file."""
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for struct in record_types(kind, value):
         if struct.__struct_config__.tag_field:
-            found[struct.__struct_config__.tag_field] = str
+            fields[struct.__struct_config__.tag_field] = str
         for field in _fields(struct):
-            found[field.encode_name] = field.type
-    return found
+            fields[field.encode_name] = field.type
+    return fields
 
 
 def child_type(kind: Any, value: Any, step: str | int) -> Any:
