@@ -71,25 +71,25 @@ class Channels:
             ),
             None,
         )
-        found = {} if base is None or "time_s" in self.values else {"time_s": base}
+        columns = {} if base is None or "time_s" in self.values else {"time_s": base}
         moved = []
         for name, values in self.values.items():
             if len(values) == longest and (
                 name not in self.times or base is None or np.array_equal(self.times[name], base)
             ):
-                found[name] = values
+                columns[name] = values
             elif len(values) == 1:
-                found[name] = np.full(longest, values[0])
+                columns[name] = np.full(longest, values[0])
             elif base is not None and name in self.times:
-                found[name] = np.interp(base, self.times[name], values)
+                columns[name] = np.interp(base, self.times[name], values)
                 moved.append(name)
-        return found, f"interpolated to the fastest channel: {', '.join(moved)}" if moved else ""
+        return columns, f"interpolated to the fastest channel: {', '.join(moved)}" if moved else ""
 
 
 def _mat(path: Path) -> Channels:
     from scipy.io import loadmat
 
-    found = Channels()
+    channels = Channels()
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
@@ -102,54 +102,58 @@ def _mat(path: Path) -> Channels:
             for name in value._fieldnames:
                 walk(f"{prefix}.{name}", getattr(value, name))
         else:
-            found.add(prefix, value)
+            channels.add(prefix, value)
 
     for name, value in content.items():
         if not name.startswith("__"):
             walk(name, value)
-    return found
+    return channels
 
 
 def _hdf5(path: Path) -> Channels:
     h5py = import_extra("h5py", "lab", f"{path}: HDF5")
-    found = Channels()
+    channels = Channels()
     with h5py.File(path, "r") as file:
 
         def visit(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset):
-                found.add(name, item[()], None, item.attrs.get("unit", item.attrs.get("units", "")))
+                channels.add(
+                    name, item[()], None, item.attrs.get("unit", item.attrs.get("units", ""))
+                )
 
         file.visititems(visit)
-    return found
+    return channels
 
 
 def _parquet(path: Path) -> Channels:
     parquet = import_extra("pyarrow.parquet", "lab", f"{path}: parquet")
-    found = Channels()
+    channels = Channels()
     table = parquet.read_table(path)
     for name in table.column_names:
-        found.add(name, table[name].to_numpy())
-    return found
+        channels.add(name, table[name].to_numpy())
+    return channels
 
 
 def _tdms(path: Path) -> Channels:
     nptdms = import_extra("nptdms", "lab", f"{path}: TDMS")
-    found = Channels()
+    channels = Channels()
     for group in nptdms.TdmsFile.read(path).groups():
         for channel in group.channels():
             timed = "wf_increment" in channel.properties
             time_s = channel.time_track() if timed else None
-            found.add(channel.name, channel[:], time_s, channel.properties.get("unit_string", ""))
-    return found
+            channels.add(
+                channel.name, channel[:], time_s, channel.properties.get("unit_string", "")
+            )
+    return channels
 
 
 def _mf4(path: Path) -> Channels:
     asammdf = import_extra("asammdf", "mdf", f"{path}: MF4")
-    found = Channels()
+    channels = Channels()
     with asammdf.MDF(path) as file:
         for signal in file.iter_channels():
-            found.add(signal.name, signal.samples, signal.timestamps, signal.unit)
-    return found
+            channels.add(signal.name, signal.samples, signal.timestamps, signal.unit)
+    return channels
 
 
 BINARY: dict[str, Callable[[Path], Channels]] = {

@@ -25,7 +25,6 @@ from sil.files.overrides import toml_value
 Floats = NDArray[np.float64]
 
 TOP = ("name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz")
-DECIMALS = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
 
 Text = Annotated[str, Meta(min_length=1)]
 Rate = Annotated[float, Meta(ge=1.0, le=1e8)]
@@ -39,9 +38,6 @@ OWN = re.compile(
     r"pressure_(1|2|B|N|F|oil2)_pa)"
 )
 """Names of the format's columns."""
-
-NOT_CONDITIONS = ("file", "label", "flow_model")
-"""Keys of a stroke that the plant does not know by this name."""
 
 
 class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
@@ -90,8 +86,8 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
                     f"commands[{index}]: valve {valve!r}; expected {', '.join(valves)}"
                 )
         if not set(self.charged_before) <= set(valves):
-            held = ", ".join(self.charged_before)
-            raise InputError(f"charged_before: {held}; expected of {', '.join(valves)}")
+            charged = ", ".join(self.charged_before)
+            raise InputError(f"charged_before: {charged}; expected of {', '.join(valves)}")
         if Path(self.file).name != self.file or not self.file.isprintable():
             raise InputError(
                 f"file: {self.file!r}; expected the name of a file next to campaign.toml"
@@ -101,10 +97,14 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
         self, atmosphere_pa: float, temperature_k: float, progress: float
     ) -> StrokeConditions:
         """Return what the plant has to know; `progress` as in `StrokeConditions`."""
-        own = {key: value for key, value in asdict(self).items() if key not in NOT_CONDITIONS}
-        own["commands"] = tuple(sorted(self.commands, key=lambda command: command[0]))
+        values = {
+            key: value
+            for key, value in asdict(self).items()
+            if key not in ("file", "label", "flow_model")
+        }
+        values["commands"] = tuple(sorted(self.commands, key=lambda command: command[0]))
         return StrokeConditions(
-            **own,
+            **values,
             atmosphere_pa=atmosphere_pa,
             temperature_k=temperature_k,
             theoretical_flow=self.flow_model == "theoretical",
@@ -199,14 +199,14 @@ class Record:
 
 
 def misspelt_columns(
-    found: Iterable[tuple[CampaignStroke, Collection[str]]],
+    strokes: Iterable[tuple[CampaignStroke, Collection[str]]],
 ) -> list[tuple[str, str, str]]:
     """Return the columns that are not used and resemble a missing one, as files, column and what is wrong.
 
-    found: each stroke with the names of its record's columns.
+    strokes: each stroke with the names of its record's columns.
     """
     files: dict[tuple[str, str], list[str]] = {}
-    for entry, columns in found:
+    for entry, columns in strokes:
         names = [f"pressure_{chamber}_pa" for chamber in entry.conditions.chambers]
         names += ["pressure_oil2_pa"] if entry.conditions.load == "damper" else []
         missing = [n for n in ("position_m", *names, "position_internal_m") if n not in columns]
@@ -253,8 +253,8 @@ def load_campaign(path: str | Path) -> Campaign:
         for number, entry in enumerate(table.stroke)
     ]
     strokes = tuple(
-        CampaignStroke(entry.file, entry.label or entry.kind, own)
-        for entry, own in zip(table.stroke, conditions, strict=True)
+        CampaignStroke(entry.file, entry.label or entry.kind, stroke_conditions)
+        for entry, stroke_conditions in zip(table.stroke, conditions, strict=True)
     )
     top = {key: getattr(table, key) for key in TOP}
     return Campaign(file.parent, **top, strokes=strokes, columns=column_maps(table.columns))
@@ -297,60 +297,62 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
     mapped are left out if they hold values that are not finite. Raises InputError with the line of a
     torn row, a cell that is no finite number, time that does not increase, or a missing time_s.
     """
-    found, dialect, units = read_columns(path)
-    header = list(found)
-    sources = {f"{n} [{unit}]": found[n] for n, unit in units.items() if n in found} | found
+    channels, dialect, units = read_columns(path)
+    header = list(channels)
+    sources = {
+        f"{n} [{unit}]": channels[n] for n, unit in units.items() if n in channels
+    } | channels
     used: set[str] = set()
     for ours, source in (columns or {}).items():
         try:
             column = source.column
-            own = sources[column] if column in sources else formula(column, sources)
+            values = sources[column] if column in sources else formula(column, sources)
         except (KeyError, ValueError):
             raise InputError(
                 f"{path}: no column {source.column!r} (mapped to {ours}); "
                 f"expected one of {', '.join(header)}"
             ) from None
-        found[ours] = sources[ours] = own * source.scale + source.offset
+        channels[ours] = sources[ours] = values * source.scale + source.offset
         used |= {ours, source.column}
-    for name in sorted(units.keys() & found.keys() - set(columns or ())):
+    for name in sorted(units.keys() & channels.keys() - set(columns or ())):
         if OWN.fullmatch(name) and SCALES.get(units[name], (name, 1.0))[1] != 1.0:
             raise InputError(
                 f"{path}: {name}: stored in {units[name]}; expected SI, or its scale in [columns]"
             )
-    if "time_s" not in found:
+    if "time_s" not in channels:
         raise InputError(
-            f"{path}: no column time_s among {', '.join(found)}; expected it, or a map in [columns]"
+            f"{path}: no column time_s among {', '.join(channels)}; expected it, or a map in [columns]"
         )
     left_out = []
-    for name in list(found):
-        finite = np.abs(found[name]) < LARGEST
+    for name in list(channels):
+        finite = np.abs(channels[name]) < LARGEST
         if np.all(finite):
             continue
         if name in used or OWN.fullmatch(name):
             row = int(np.argmin(finite))
             raise InputError(
-                f"{path}: {name}: sample {row + 1}: {found[name][row]:g}; "
+                f"{path}: {name}: sample {row + 1}: {channels[name][row]:g}; "
                 "expected a number below 1e30"
             )
         left_out.append(name)
-        del found[name]
-    steps = np.diff(found["time_s"])
+        del channels[name]
+    steps = np.diff(channels["time_s"])
     if np.any(steps <= 0.0):
         row = int(np.argmax(steps <= 0.0))
         where = f"sample {row + 2}" if dialect else f"line {row + 3}"
         raise InputError(f"{path}: {where}: time_s does not increase; expected rising times")
-    time_s = found["time_s"]
+    time_s = channels["time_s"]
     inside = np.ones(len(time_s), dtype=bool)
     for ours, source in (columns or {}).items():
         if source.delay_s:
             own_s = time_s + source.delay_s
             inside &= (own_s >= time_s[0]) & (own_s <= time_s[-1])
-            found[ours] = np.interp(own_s, time_s, found[ours])
+            channels[ours] = np.interp(own_s, time_s, channels[ours])
     if not np.any(inside):
         raise InputError(f"{path}: delay_s: longer than the record of {np.ptp(time_s):.4g} s")
-    found = {name: values[inside] for name, values in found.items()}
+    channels = {name: values[inside] for name, values in channels.items()}
     note = f"columns with values that are not finite left out: {', '.join(left_out)}"
-    return Record(path, found, ", ".join(filter(None, (dialect, note if left_out else ""))))
+    return Record(path, channels, ", ".join(filter(None, (dialect, note if left_out else ""))))
 
 
 def stroke_columns(stroke: Stroke) -> dict[str, Floats]:
@@ -376,7 +378,8 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
     columns: [n] each, in SI units.
     """
     usual = {name: 3 if name.startswith("cmd_") else 1 for name in columns}
-    formats = [f"%.{DECIMALS.get(name, decimals)}f" for name, decimals in usual.items()]
+    finer = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
+    formats = [f"%.{finer.get(name, decimals)}f" for name, decimals in usual.items()]
     table = np.column_stack(list(columns.values()))
     row = ",".join(formats) + "\n"
     # one formatting call for the whole table: np.savetxt makes one a row and takes twice as long

@@ -123,12 +123,12 @@ def campaign_folder(out: Path, force: bool) -> Path:
 
     Raises InputError if it holds another campaign and `force` is not set.
     """
-    held = out / "campaign.toml"
-    if held.exists():
+    campaign_file = out / "campaign.toml"
+    if campaign_file.exists():
         if not force:
             raise InputError(
                 f"{out}: --out: holds another campaign; expected an empty folder, or --force"
             )
-        for old in [held, out / "reference.toml", *out.glob("stroke_*.csv")]:
+        for old in [campaign_file, out / "reference.toml", *out.glob("stroke_*.csv")]:
             old.unlink(missing_ok=True)
     return out

@@ -28,12 +28,8 @@ DELIMITERS = {"semicolon": ";", "tab": "\t", "comma": ",", "blank": " "}
 NUMBER = re.compile(
     r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}(\.\d{3})+,\d*)([eEdD][+-]?\d+)?|[nN]a[nN]|[+-]?[iI]nf"
 )
-THOUSANDS = re.compile(r"(?<=\d)\.(?=\d{3}(\.\d{3})*,)")
 MOST_BYTES = 4 << 30
 """The largest text that is read."""
-
-PREAMBLE = 200
-"""Lines within which the numbers of a text begin."""
 
 
 TextTable = tuple[list[str], list[str], int, str]
@@ -57,7 +53,7 @@ def sniff(path: Path, text: str, encoding: str) -> TextTable:
         (
             (k, name)
             for text_too in (False, True)
-            for k, line in enumerate(lines[:PREAMBLE])
+            for k, line in enumerate(lines[:200])
             if (name := _delimiter(line, text_too))
         ),
         (-1, ""),
@@ -113,7 +109,9 @@ def _delimiter(line: str, text_too: bool) -> str:
 
 def _alike(above: list[str], row: list[str]) -> bool:
     """Return whether the cells of a line are numbers where those of a row of numbers are."""
-    cells = [cell for cell, own in zip(above, row, strict=False) if _numeric(own) and cell.strip()]
+    cells = [
+        cell for cell, below in zip(above, row, strict=False) if _numeric(below) and cell.strip()
+    ]
     return len(above) == len(row) and bool(cells) and all(map(_numeric, cells))
 
 
@@ -130,7 +128,9 @@ def _clean(line: str, sign: str) -> str:
         return line
     cells = _split(line, sign)
     if "," in line:
-        cells = [THOUSANDS.sub("", cell).replace(",", ".") for cell in cells]
+        cells = [
+            re.sub(r"(?<=\d)\.(?=\d{3}(\.\d{3})*,)", "", cell).replace(",", ".") for cell in cells
+        ]
     return ",".join(cells)
 
 
@@ -260,7 +260,7 @@ def _converted(header: list[str], lines: list[str]) -> tuple[dict[str, Floats], 
     cells = [line.split(",") for line in lines if line.strip()]
     if any(len(row) != len(header) for row in cells):
         return {}, []
-    found: dict[str, Floats] = {}
+    channels: dict[str, Floats] = {}
     left_out, notes = [], []
     for name, column in zip(header, np.char.strip(np.array(cells)).T, strict=True):
         rows = np.flatnonzero(column != "")
@@ -271,7 +271,7 @@ def _converted(header: list[str], lines: list[str]) -> tuple[dict[str, Floats], 
                 continue
             if len(stamps) < len(column) or len({s.tzinfo is None for s in stamps}) > 1:
                 return {}, []
-            found[name] = np.array([(s - stamps[0]).total_seconds() for s in stamps])
+            channels[name] = np.array([(s - stamps[0]).total_seconds() for s in stamps])
             notes.append(f"{name} in seconds from {column[0]}")
             continue
         try:
@@ -283,10 +283,10 @@ def _converted(header: list[str], lines: list[str]) -> tuple[dict[str, Floats], 
             if len(rows) < 10 or steps.min() < 2 or steps.max() > 2 * np.median(steps):
                 return {}, []
             notes.append(f"{name} interpolated from a slower rate")
-        found[name] = np.interp(np.arange(len(column)), rows, values)
+        channels[name] = np.interp(np.arange(len(column)), rows, values)
     if left_out:
         notes.append(f"columns without numbers left out: {', '.join(left_out)}")
-    return found, notes if all(np.all(np.isfinite(v)) for v in found.values()) else []
+    return channels, notes if all(np.all(np.isfinite(v)) for v in channels.values()) else []
 
 
 def _stamp(cell: str) -> datetime | None:

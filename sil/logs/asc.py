@@ -128,12 +128,12 @@ def _direction(word: str) -> str:
 def _bytes(words: list[str], decimal: bool) -> bytes:
     """Return the bytes at the beginning of a list of words."""
     pattern, base = (_DECIMAL_BYTE, 10) if decimal else (_HEX_BYTE, 16)
-    found = []
+    values = []
     for word in words:
         if not pattern.match(word) or int(word, base) > 255:
             break
-        found.append(int(word, base))
-    return bytes(found)
+        values.append(int(word, base))
+    return bytes(values)
 
 
 def _classic(match: re.Match[str], decimal: bool) -> _Event:
@@ -225,8 +225,8 @@ class AscReader(TextReader):
         self._last_ns = time_ns
         try:
             event = parse_event(timed[2], self._decimal)
-        except NotAFrame as known:
-            if line.unterminated and known.name:
+        except NotAFrame as other:
+            if line.unterminated and other.name:
                 raise ValueError("the last line has no end and may be cut short") from None
             if _START.match(timed[2]) and time_ns == 0 and self._block_ns is not None:
                 self._count_from(self._block_ns)

@@ -20,7 +20,6 @@ from sil.logs.source import ByteSource
 from sil.logs.writer import LogWriter
 
 _WRITTEN_CONTAINER: Final = 1 << 17
-_BLOCK: Final = 1 << 18
 
 
 class BlfReader:
@@ -36,7 +35,7 @@ class BlfReader:
         report = self._report
         offset, stated_size = self._header()
         data = b""
-        while block := self._source.read(max(_BLOCK, len(data))):
+        while block := self._source.read(max(1 << 18, len(data))):
             data += block
             rest = yield from self._objects(data, offset)
             data, offset = data[rest:], offset + rest
@@ -67,17 +66,17 @@ class BlfReader:
                 frames.append(frame)
                 locations.append(container or offset + pos)
                 pos += layout.PLAIN.size
-            begin, found = pos, data.find(b"LOBJ", pos, pos + 8)
-            if found < 0 and end - pos < 8:
+            begin, mark = pos, data.find(b"LOBJ", pos, pos + 8)
+            if mark < 0 and end - pos < 8:
                 pos = pos if data[pos:].strip(b"\x00") else end
                 break
-            pos = max(pos, found)
-            if found >= 0 and end - pos < layout.OBJECT.size:
+            pos = max(pos, mark)
+            if mark >= 0 and end - pos < layout.OBJECT.size:
                 break
-            problem = layout.plausible_header(data, pos) if found >= 0 else "no object begins here"
+            problem = layout.plausible_header(data, pos) if mark >= 0 else "no object begins here"
             location = container or offset + (pos if problem is None else begin)
             if problem is not None:
-                pos = layout.next_object(data, pos + (4 if found >= 0 else 0))
+                pos = layout.next_object(data, pos + (4 if mark >= 0 else 0))
                 self._skip(
                     f"{problem}, {counted(pos - begin, 'byte')} left out", location, container
                 )
@@ -138,10 +137,10 @@ class BlfReader:
 
     def _exactly(self, size: int) -> bytes:
         """Return the next bytes, fewer at the end of the file."""
-        found = b""
-        while len(found) < size and (block := self._source.read(size - len(found))):
-            found += block
-        return found
+        content = b""
+        while len(content) < size and (block := self._source.read(size - len(content))):
+            content += block
+        return content
 
     def _drop_tail(self) -> None:
         if self._tail.strip(b"\x00"):

@@ -71,8 +71,6 @@ OTHER_TYPES: Final = {
     120: "Ethernet frame",
 }
 _LIN_TYPES: Final = frozenset((*range(11, 21), *range(54, 64), 75))
-_LARGEST: Final = 1 << 22
-_LARGEST_FRAME: Final = 1 << 12
 FRAME_TYPES: Final = {
     TYPE_CAN: CAN,
     TYPE_CAN_2: CAN,
@@ -122,9 +120,9 @@ def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
     if version not in (1, 2) or header_size < least or size < header_size:
         return f"object header of version {version} with sizes {header_size} and {size}"
     layout = FRAME_TYPES.get(kind)
-    if layout is not None and not header_size + layout.size <= size <= _LARGEST_FRAME:
+    if layout is not None and not header_size + layout.size <= size <= 1 << 12:
         return f"object of type {kind} with {size} bytes"
-    if size > _LARGEST and kind != TYPE_CONTAINER:
+    if size > 1 << 22 and kind != TYPE_CONTAINER:
         return f"object of {size} bytes"
     return None
 

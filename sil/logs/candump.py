@@ -23,12 +23,7 @@ from sil.logs.writer import LogWriter
 
 _ERROR_FLAG: Final = 0x20000000
 _DIRECTIONS: Final = {"": "", "R": "Rx", "T": "Tx"}
-_LETTER: Final = {"": "", "Rx": " R", "Tx": " T"}
-_DECIDED_BY: Final = 256
-"""Frames from which (if there are so many) times and differences of time are distinguished."""
 
-_BUS_ERROR: Final = 0x80
-"""SocketCAN's class of an error on the bus (CAN_ERR_BUSERROR)."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _TIME = re.compile(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+")
 _DATE = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{6}|\d{9})\Z")
@@ -90,8 +85,8 @@ def parse_line(text: str) -> Parsed:
         time_ns = _time(timed[1])
         line = line[timed.end() :]
     for pattern, parse in ((_COMPACT, _compact), (_SCREEN, _screen), (_TRUCKDEVIL, _truckdevil)):
-        if found := pattern.match(line):
-            frame, has_length = parse(found)
+        if match := pattern.match(line):
+            frame, has_length = parse(match)
             return Parsed(frame._replace(time_ns=time_ns), timed is not None, has_length)
     if _SCREEN_XL.match(line):
         raise NotAFrame("CAN XL frame")
@@ -245,15 +240,15 @@ class CandumpReader(TextReader):
 
     def __iter__(self) -> Iterator[Batch]:
         batches = super().__iter__()
-        held = Batch([], [])
+        start = Batch([], [])
         for batch in batches:
-            held = Batch(held.frames + batch.frames, [*held.locations, *batch.locations])
-            self._earlier = held.frames
-            if len(held.frames) >= _DECIDED_BY:
+            start = Batch(start.frames + batch.frames, [*start.locations, *batch.locations])
+            self._earlier = start.frames
+            if len(start.frames) >= 256:
                 break
-        if held.frames:
-            self._decide(held.frames)
-            yield from map(self._with_times, chain((held,), batches))
+        if start.frames:
+            self._decide(start.frames)
+            yield from map(self._with_times, chain((start,), batches))
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         if self._timed is False:
@@ -356,7 +351,7 @@ class CandumpWriter(LogWriter):
             body = self._special(frame, digits)
         else:
             body = f"{digits}#{data.hex().upper()}"
-        return f"({stamp}) {self._names[channel]} {body}{_LETTER[direction]}\n"
+        return f"({stamp}) {self._names[channel]} {body}{direction and f' {direction[0]}'}\n"
 
     def _interface(self, channel: str) -> str:
         """Return the network interface name of a channel; numbered channels count from can0."""
@@ -372,7 +367,8 @@ class CandumpWriter(LogWriter):
                 self.losses["flags of an error frame"] += 1
             if not frame.can_id and not frame.data:
                 self.losses["error frame without a class written as a bus error"] += 1
-                return f"{_ERROR_FLAG | _BUS_ERROR:08X}#{bytes(8).hex()}"
+                can_err_buserror = 0x80
+                return f"{_ERROR_FLAG | can_err_buserror:08X}#{bytes(8).hex()}"
             return f"{_ERROR_FLAG | frame.can_id:08X}#{frame.data.hex().upper()}"
         if frame.remote:
             if frame.fd:

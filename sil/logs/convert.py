@@ -53,12 +53,12 @@ class ConvertReport:
                 f"{self.target}: {counted(self.signals.rows, 'row')} of {counted(len(self.signals.names), 'signal')} "
                 f"({', '.join(self.signals.names)})"
             ]
-        found = [f"{self.target}: {counted(self.written, 'frame')} ({self.format})"]
-        found += [f"lost: {name}: {count}" for name, count in sorted(self.losses.items())]
+        lines = [f"{self.target}: {counted(self.written, 'frame')} ({self.format})"]
+        lines += [f"lost: {name}: {count}" for name, count in sorted(self.losses.items())]
         if self.read is not None:
-            found.append(f"{self.source}:")
-            found += [f"  {line}" for line in self.read.lines()]
-        return found
+            lines.append(f"{self.source}:")
+            lines += [f"  {line}" for line in self.read.lines()]
+        return lines
 
 
 def convert(

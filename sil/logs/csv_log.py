@@ -23,7 +23,6 @@ from sil.logs.writer import LogWriter
 OUR_HEADER: Final = "time_s,channel,direction,id,extended,remote,error,fd,brs,esi,dlc,data"
 _HEX: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z")
 _HEX_BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2})*\Z")
-_MOST_KNOWN_ROWS: Final = 1 << 14
 _FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
 
 
@@ -136,14 +135,14 @@ def _dialect(header: str) -> Dialect | None:
     return None
 
 
-class _Known(NamedTuple):
+class _Middle(NamedTuple):
     """What the words of a row between time and data say: a frame without both, its data length."""
 
     frame: LogFrame
     length: int
 
 
-def _known(columns: tuple[Column, ...], words: list[str]) -> _Known:
+def _middle(columns: tuple[Column, ...], words: list[str]) -> _Middle:
     """Return what words say. Raises ValueError for a broken one."""
     row: dict[str, Any] = {
         name: read(word.strip()) for (name, read), word in zip(columns, words, strict=True)
@@ -157,7 +156,7 @@ def _known(columns: tuple[Column, ...], words: list[str]) -> _Known:
         row["raw_dlc"] = length if dlc is None else dlc
     elif dlc is not None and dlc > 8 and not fd:
         row["raw_dlc"] = dlc
-    return _Known(LogFrame(0, **row), length)
+    return _Middle(LogFrame(0, **row), length)
 
 
 class CsvReader(TextReader):
@@ -166,7 +165,7 @@ class CsvReader(TextReader):
     def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
         super().__init__(source, report, times)
         self._dialect: Dialect | None = None
-        self._rows: dict[tuple[str, ...], _Known] = {}
+        self._rows: dict[tuple[str, ...], _Middle] = {}
 
     def __iter__(self) -> Iterator[Batch]:
         for number, batch in enumerate(super().__iter__()):
@@ -197,14 +196,14 @@ class CsvReader(TextReader):
             count = text.count(dialect.separator) + 1
             raise ValueError(f"{count} columns; expected {last + 1} as in the header")
         key = tuple(words[1:last])
-        known = self._rows.get(key)
-        if known is None:
-            known = _known(dialect.columns[1:last], words[1:last])
-            if len(self._rows) < _MOST_KNOWN_ROWS:
-                self._rows[key] = known
+        middle = self._rows.get(key)
+        if middle is None:
+            middle = _middle(dialect.columns[1:last], words[1:last])
+            if len(self._rows) < 1 << 14:
+                self._rows[key] = middle
         time_ns: int = dialect.columns[0][1](words[0].strip())
         data: bytes = dialect.columns[last][1](words[last].strip())
-        frame, length = known
+        frame, length = middle
         if frame.remote:
             data = b""
         elif len(data) != length:

@@ -14,7 +14,6 @@ from sil.logs.source import ByteSource, Chunk, Line, chunk_lines, chunks, line_a
 from sil.logs.times import RELATIVE_BELOW_NS
 from sil.logs.writer import LogWriter
 
-_MOST_KNOWN_IDS: Final = 100_000
 ZONE_NOTE: Final = "the start in the header names no time zone; it is taken as UTC"
 
 
@@ -111,9 +110,9 @@ class TextReader(ABC):
             return frame
         except InputError:
             raise
-        except NotAFrame as known:
-            if known.name:
-                self._report.other[known.name] += known.count
+        except NotAFrame as other:
+            if other.name:
+                self._report.other[other.name] += other.count
         except ValueError as error:
             location = Location(str(error), line.number, line.byte)
             if line.unterminated:
@@ -136,19 +135,19 @@ class TextReader(ABC):
         scale = [unit_ns // 10**decimals for decimals in range(10)]
         for index, words in enumerate(pattern.findall(chunk.text[:-1])):
             whole, fraction, channel, digits, way, code, data, other = words
-            known = ids.get(digits)
+            identity = ids.get(digits)
             payload = bytes.fromhex(data)
-            if known is None or len(payload) != int(code):
+            if identity is None or len(payload) != int(code):
                 if not whole and not other:
                     continue
                 frame = self._guarded(line_at(chunk, index))
                 if frame is None:
                     continue
-                if whole and len(ids) < _MOST_KNOWN_IDS:
+                if whole and len(ids) < 100_000:
                     ids[digits] = frame.can_id, frame.extended
             else:
                 time_ns = origin_ns + int(whole + fraction) * scale[len(fraction)]
-                frame = ordinary_frame(time_ns, known[0], payload, known[1], channel, way)
+                frame = ordinary_frame(time_ns, identity[0], payload, identity[1], channel, way)
             frames.append(frame)
             locations.append(chunk.line + index)
         return Batch(frames, locations)

@@ -94,9 +94,9 @@ class Logs:
         reports = [part.reader.report for part in self._parts]
         if len(reports) == 1:
             return reports[0]
-        found = LogReport.joined(reports)
-        found.files = list(self._file_lines())
-        return found
+        report = LogReport.joined(reports)
+        report.files = list(self._file_lines())
+        return report
 
     def __iter__(self) -> Iterator[LogFrame]:
         blocks = self._parts[0].blocks() if len(self._parts) == 1 else self._in_order()

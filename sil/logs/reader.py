@@ -15,9 +15,6 @@ from sil.logs.report import MOST_LOCATIONS, LogReport
 from sil.logs.source import ByteSource
 from sil.logs.times import format_ns
 
-_WATCHED_INSTANT = 64
-"""Frames of one instant among which duplicates are searched."""
-
 
 class LogReader:
     """Frames of a log, in its order, in bounded memory; `report` states what was found.
@@ -124,7 +121,7 @@ class _Watch:
                 twice = f"the frame {frame.can_id:X} at {format_ns(time_ns)} s is in the log twice"
                 text = f"{self._location_word} {location}: {twice}"
                 self._found(report.duplicate_locations, text, "every frame once")
-            elif len(instant) < _WATCHED_INSTANT:
+            elif len(instant) < 64:
                 instant.append(frame)
             last_ns = time_ns
         self._instant = instant

@@ -87,21 +87,21 @@ def open_log(
     name = os.fspath(path)
     if times not in ("auto", "delta", "recorded"):
         raise InputError(f"{name}: times {times!r}; expected auto, delta or recorded")
-    found = None if format is None else _format_named(format)
+    log_format = None if format is None else _format_named(format)
     source = ByteSource(name, LogReport(name, "unknown"))
     source.close()
-    if found is None:
+    if log_format is None:
         recognised = (one for one in FORMATS.values() if one.recognise(source.head))
-        found = next(recognised, None)
-    if found is None:
+        log_format = next(recognised, None)
+    if log_format is None:
         _refuse_foreign(name, source.head)
-        found = _format_of_name(name)
-    if found is None:
+        log_format = _format_of_name(name)
+    if log_format is None:
         raise InputError(
             f"{name}: neither content nor name is that of a log; expected one of "
             f"{', '.join(FORMATS)}"
         )
-    return LogReader(name, found, strict=strict, times=times)
+    return LogReader(name, log_format, strict=strict, times=times)
 
 
 def open_writer(path: str | os.PathLike[str], *, format: str | None = None) -> LogWriter:
@@ -120,8 +120,8 @@ def open_writer(path: str | os.PathLike[str], *, format: str | None = None) -> L
         If the suffix is unknown or the file cannot be written.
     """
     name = os.fspath(path)
-    found = _format_of_name(name) if format is None else _format_named(format)
-    if found is None:
+    log_format = _format_of_name(name) if format is None else _format_named(format)
+    if log_format is None:
         suffixes = ", ".join(suffix for one in FORMATS.values() for suffix in one.suffixes)
         raise InputError(f"{name}: its suffix is of no log format; expected one of {suffixes}")
-    return found.writer(name)
+    return log_format.writer(name)

@@ -97,23 +97,23 @@ class LogReport:
     def joined(cls, reports: Sequence[LogReport]) -> LogReport:
         """Return the report of several files; locations and notes begin with the name of theirs."""
         first, last = reports[0], reports[-1]
-        found = cls(
+        joined = cls(
             "+".join(r.path for r in reports), "+".join(dict.fromkeys(r.format for r in reports))
         )
-        found.first_ns, found.last_ns = first.first_ns, last.last_ns
-        found.time_base = first.time_base
+        joined.first_ns, joined.last_ns = first.first_ns, last.last_ns
+        joined.time_base = first.time_base
         for report in reports:
             for name in ("frames", "error", "remote", "fd", "skipped", "backwards", "duplicates"):
-                setattr(found, name, getattr(found, name) + getattr(report, name))
-            found.truncated |= report.truncated
-            found.other += report.other
+                setattr(joined, name, getattr(joined, name) + getattr(report, name))
+            joined.truncated |= report.truncated
+            joined.other += report.other
             for name in ("backwards_locations", "duplicate_locations", "notes"):
-                texts = getattr(found, name)
+                texts = getattr(joined, name)
                 texts += [f"{report.path}: {text}" for text in getattr(report, name)]
-            found.skipped_locations += [
+            joined.skipped_locations += [
                 replace(one, path=report.path) for one in report.skipped_locations
             ]
-        return found
+        return joined
 
     def skip(self, location: Location, count: int = 1) -> None:
         """Count a broken line or record, or several at one place. Raises InputError if `strict`."""
@@ -144,15 +144,15 @@ class LogReport:
     @property
     def faults(self) -> str:
         """What is not whole, in one line; empty if it is `clean`."""
-        found = [note for note in self.notes if self.truncated and _CUT in note]
+        parts = [note for note in self.notes if self.truncated and _CUT in note]
         for title, count, first in (
             ("broken and skipped", self.skipped, self.skipped_locations[:1]),
             ("clock steps backwards", self.backwards, self.backwards_locations[:1]),
             ("duplicates", self.duplicates, self.duplicate_locations[:1]),
         ):
             if count:
-                found.append(f"{title}: {count}, the first {first[0]}")
-        return "; ".join(found)
+                parts.append(f"{title}: {count}, the first {first[0]}")
+        return "; ".join(parts)
 
     def lockstep_line(self) -> str:
         """Return what was left out of the capture of a lockstep run; empty if it is none."""
@@ -163,32 +163,34 @@ class LogReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
-        found = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "strict"}
+        values = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "strict"}
         for name in ("skipped", "backwards", "duplicate"):
-            found[f"{name}_places"] = [str(location) for location in found.pop(f"{name}_locations")]
-        return found
+            values[f"{name}_places"] = [
+                str(location) for location in values.pop(f"{name}_locations")
+            ]
+        return values
 
     def lines(self) -> list[str]:
         """Return the report as text: one fact per line, only what is there."""
-        found = [
+        lines = [
             f"{counted(self.frames, 'frame')} ({self.format}, {self.time_base} times)",
             *self.files,
         ]
         for name in ("error", "remote", "fd"):
             count = getattr(self, name)
             if count:
-                found.append(f"  of them {name}: {count}")
-        found += [f"not frames: {count} {name}" for name, count in sorted(self.other.items())]
+                lines.append(f"  of them {name}: {count}")
+        lines += [f"not frames: {count} {name}" for name, count in sorted(self.other.items())]
         if left_out := self.lockstep_line():
-            found.append(left_out)
+            lines.append(left_out)
         for title, count, locations in (
             ("broken and skipped", self.skipped, [str(one) for one in self.skipped_locations]),
             ("clock steps backwards", self.backwards, self.backwards_locations),
             ("duplicates", self.duplicates, self.duplicate_locations),
         ):
             if count:
-                found.append(f"{title}: {count}")
-                found += [f"  {location}" for location in locations]
+                lines.append(f"{title}: {count}")
+                lines += [f"  {location}" for location in locations]
                 if count > len(locations):
-                    found.append(f"  and {count - len(locations)} more")
-        return found + self.notes
+                    lines.append(f"  and {count - len(locations)} more")
+        return lines + self.notes

@@ -75,16 +75,16 @@ class Selection:
         high_ns = self._bound(self.until_ns, first[0].time_ns, MAX_TIME_NS)
         timed = self.since_ns is not None or self.until_ns is not None
         for block in chain((first,), blocks):
-            found = block
+            frames = block
             if timed:
-                found = [frame for frame in found if low_ns <= frame[0] <= high_ns]
+                frames = [frame for frame in frames if low_ns <= frame[0] <= high_ns]
             if self.channels:
-                found = [frame for frame in found if frame[9] in self.channels]
+                frames = [frame for frame in frames if frame[9] in self.channels]
             if self.ids or self.pgns:
-                keys = {(frame[1], frame[3]) for frame in found}
+                keys = {(frame[1], frame[3]) for frame in frames}
                 wanted = {key for key in keys if self._wanted(key)}
-                found = [f for f in found if (f[1], f[3]) in wanted and not f[5]]
-            yield found
+                frames = [f for f in frames if (f[1], f[3]) in wanted and not f[5]]
+            yield frames
 
     def _bound(self, bound_ns: int | None, first_ns: int, default_ns: int) -> int:
         if bound_ns is None:

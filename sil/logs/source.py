@@ -16,15 +16,12 @@ from can_dbc.errors import InputError
 from sil.logs.report import Location, LogReport
 
 STANDARD_INPUT: Final = "-"
-HEAD_BYTES: Final = 1 << 14
 CHUNK_BYTES: Final = 1 << 15
 LONGEST_LINE: Final = 1 << 16
 """A longer line is no line of a log; its excess is dropped so that memory stays bounded."""
 
 _LARGEST_RATIO: Final = 100
-"""Logs, whose times never repeat, pack to a tenth; a file beyond this is no log ..."""
-_HARMLESS_BYTES: Final = 1 << 20
-"""... unless it is this small."""
+"""Logs, whose times never repeat, pack to a tenth; a larger file beyond this is no log."""
 _NOT_LOGS: Final = {
     b"PK\x03\x04": "a zip archive",
     b"BZh": "a bzip2 archive",
@@ -68,7 +65,7 @@ class ByteSource:
             packed = gzip.GzipFile(fileobj=self.file)
             self._read: Callable[[int], bytes] = packed.read1 if self.packed else self.file.read
             self._held = b""
-            self.head = self._held = self.read(HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")
+            self.head = self._held = self.read(1 << 14).removeprefix(b"\xef\xbb\xbf")
             for mark, name in _NOT_LOGS.items():
                 hint = " (SavvyCAN converts it to GVRET CSV)" if "capture" in name else ""
                 if self.head.startswith(mark):
@@ -80,8 +77,8 @@ class ByteSource:
     def read(self, size: int, /) -> bytes:
         """Return up to `size` bytes, b"" at the end. Raises InputError if reading fails."""
         if self._held:
-            held, self._held = self._held[:size], self._held[size:]
-            return held
+            block, self._held = self._held[:size], self._held[size:]
+            return block
         try:
             block = self._read(size)
         except EOFError:
@@ -95,7 +92,7 @@ class ByteSource:
                 f"{self.path}: {error.strerror}; expected a readable log file"
             ) from None
         self._unpacked += len(block)
-        if self.packed and self._unpacked > max(_HARMLESS_BYTES, _LARGEST_RATIO * self.file.tell()):
+        if self.packed and self._unpacked > max(1 << 20, _LARGEST_RATIO * self.file.tell()):
             raise InputError(
                 f"{self.path}: unpacks to over {_LARGEST_RATIO} times its size, as no log does; "
                 "expected a readable log file"
@@ -151,9 +148,9 @@ def chunks(stream: ByteSource | BinaryIO) -> Iterator[Chunk]:
     rest = b""
     while True:
         block = stream.read(CHUNK_BYTES)
-        held = rest + block
-        end = held.rfind(b"\n") + 1
-        whole, rest = held[:end], held[end:]
+        content = rest + block
+        end = content.rfind(b"\n") + 1
+        whole, rest = content[:end], content[end:]
         if whole:
             yield Chunk(whole.decode("latin-1"), line, offset, False)
             line += whole.count(b"\n")

@@ -44,7 +44,6 @@ _START_TEXT: Final = re.compile(
     r";\s*Start time:\s*(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
 )
 _DEFAULT_COLUMNS: Final = {"2.0": "N,O,T,I,d,l,D", "2.1": "N,O,T,B,I,d,R,L,D"}
-_KNOWN_COLUMNS: Final = frozenset("NOTBIdRlLDSA")
 _FD_TYPES: Final = {
     "FD": (False, False),
     "FB": (True, False),
@@ -105,7 +104,7 @@ class TrcReader(TextReader):
         elif name == ";$COLUMNS":
             columns = [column.strip() for column in value.split(",")]
             needed = {"O", "T", "I", "D"} <= set(columns) and {"l", "L"} & set(columns)
-            if not needed or not set(columns) <= _KNOWN_COLUMNS or columns[-1] != "D":
+            if not needed or not set(columns) <= set("NOTBIdRlLDSA") or columns[-1] != "D":
                 raise InputError(
                     f"{report.path}: columns {value[:40]!r}; expected N,O,T,B,I,d,R,L,D or alike"
                 )
@@ -211,12 +210,12 @@ def _bytes(words: list[str], length: int) -> bytes:
 
     Raises ValueError for fewer or other words.
     """
-    found = words[:length]
-    if len(found) != length or not all(_HEX_BYTE.match(word) for word in found):
+    pairs = words[:length]
+    if len(pairs) != length or not all(_HEX_BYTE.match(word) for word in pairs):
         raise ValueError(f"no {length} bytes of data as stated")
     if any(word != "--" for word in words[length:]):
         raise ValueError(f"more than the {length} bytes of data stated")
-    return bytes(int(word, 16) for word in found)
+    return bytes(int(word, 16) for word in pairs)
 
 
 class TrcWriter(RelativeWriter):

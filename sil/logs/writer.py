@@ -11,14 +11,12 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Final, Self
+from typing import BinaryIO, Self
 
 from can_dbc.errors import InputError
 from sil.files.atomic import NewFile
 from sil.logs.frame import LogFrame, all_ordinary, require_possible
 from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
-
-WRITE_BATCH: Final = 2048
 
 
 class LogWriter(ABC):
@@ -31,7 +29,7 @@ class LogWriter(ABC):
     """
 
     format: str = ""
-    batch = WRITE_BATCH
+    batch = 2048
     """Frames that are written at once."""
 
     patched = False
@@ -90,18 +88,18 @@ class LogWriter(ABC):
         """Write the frames that are held back. Raises InputError as `write` does."""
         if not self._held:
             return
-        held = self._held
-        if not all_ordinary(held, self._known_channels):
-            for number, frame in enumerate(held, self._written + 1):
+        frames = self._held
+        if not all_ordinary(frames, self._known_channels):
+            for number, frame in enumerate(frames, self._written + 1):
                 require_possible(frame, f"{self.path}: frame {number}")
                 self._known_channels.add(frame.channel)
         self._held = []
         try:
-            self._begin_with(held)
-            self._write_batch(held)
+            self._begin_with(frames)
+            self._write_batch(frames)
         except OSError as error:
             raise self._no_room(error) from None
-        self._written += len(held)
+        self._written += len(frames)
 
     def _begin_with(self, frames: list[LogFrame]) -> None:
         """Find where times count from, and write the beginning, once."""
@@ -188,9 +186,9 @@ class LogWriter(ABC):
         number is taken has the next free one. An unnamed channel is 1. Raises InputError if there
         is none left.
         """
-        known = self.channel_numbers.get(channel)
-        if known is not None:
-            return known
+        number = self.channel_numbers.get(channel)
+        if number is not None:
+            return number
         taken = set(self.channel_numbers.values())
         digits = channel[len(channel.rstrip("0123456789")) :][-3:]
         wanted = 1

@@ -25,7 +25,6 @@ PIECE_S = 60.0
 MOST_ROWS = 1_000_000
 """A piece has at most about this many rows of the trace."""
 
-_HEADER_BYTES_AT_MOST = 65536
 _FRAMES_AT_ONCE = 1 << 18
 
 
@@ -63,7 +62,7 @@ class _Header(msgspec.Struct):
 def open_trace(path: Path) -> RowReader:
     """Return the reader of a trace.  Raises InputError for a file that is not a trace."""
     with open(path, "rb") as file:
-        line = file.readline(_HEADER_BYTES_AT_MOST)
+        line = file.readline(65536)
     try:
         if line.endswith(b"\n"):
             columns = msgspec.json.decode(line, type=_Header).columns

@@ -103,10 +103,10 @@ class RunRecord:
     def _by_id(self) -> Mapping[int, Collection[BusFrame]]:
         if isinstance(self.frames, StoredFrames):
             return self.frames.by_id()
-        found: dict[int, list[BusFrame]] = {}
+        frames_by_id: dict[int, list[BusFrame]] = {}
         for entry in self.frames:
-            found.setdefault(entry.frame.can_id, []).append(entry)
-        return found
+            frames_by_id.setdefault(entry.frame.can_id, []).append(entry)
+        return frames_by_id
 
     @cached_property
     def _decoded(self) -> dict[type, list[tuple[BusFrame, Any]]]:

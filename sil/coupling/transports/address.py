@@ -31,10 +31,10 @@ def folder() -> Path:
     path = Path(runtime, "opc4") if runtime else Path(tempfile.gettempdir(), f"opc4-{os.getuid()}")
     try:
         path.mkdir(mode=0o700, exist_ok=True)
-        found = path.lstat()
+        status = path.lstat()
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected a folder for sockets") from None
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise RunError(f"{path}: expected a folder of this user that nobody else may enter")
     return path
 
@@ -113,8 +113,8 @@ def connect(
         if time.monotonic() >= deadline:
             raise RunError(f"no run on local:{channel} within {wait_s:g} s")
         others = ", ".join(f"local:{name}" for name in running_channels())
-        found = f"; runs found: {others}" if others else ""
-        say(f"waiting up to {wait_s:g} s for a run on local:{channel}{found}")
+        running = f"; runs found: {others}" if others else ""
+        say(f"waiting up to {wait_s:g} s for a run on local:{channel}{running}")
         say = silent
         time.sleep(0.02)
 

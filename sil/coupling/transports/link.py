@@ -20,7 +20,6 @@ from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifel
 from sil.coupling.transports.wire import Kind
 
 START_TIMEOUT_S = 60.0
-_ANSWER_EXPECTED_S = 0.3
 
 
 class LocalLink:
@@ -169,7 +168,7 @@ class Session:
         hello = wire.control(Kind.HELLO, self._number, wire.VERSION, nonce | self._scenario << 16)
         deadline = time.monotonic() + timeout_s
         next_hello = 0.0
-        say_at = time.monotonic() + _ANSWER_EXPECTED_S
+        say_at = time.monotonic() + 0.3
         while (now := time.monotonic()) <= deadline:
             if now >= say_at:
                 say_at = math.inf

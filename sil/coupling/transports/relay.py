@@ -12,7 +12,6 @@ from sil.coupling.transports.server import Connection, Server
 from sil.coupling.transports.wire import Kind
 
 _EPOCH_BITS = (1 << 48) - 1
-_CHECK_S = 0.2
 
 
 def epoch_ns(stamp: int, now_ns: int) -> int:
@@ -47,7 +46,7 @@ class Relay(Server):
 
     def _run(self) -> None:
         while not self._closing.is_set():
-            self._pump(_CHECK_S)
+            self._pump(0.2)
         self._path.unlink(missing_ok=True)
         self._listener.close()
         for connection in list(self._connections.values()):

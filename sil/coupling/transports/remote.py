@@ -19,9 +19,6 @@ from sil.coupling.transports.wire import Kind, Refusal
 MOST_OFFERS = 100_000
 """Frames that a participant may offer in one turn."""
 
-FAILED_ENDS_S = 2.0
-"""How long a process that reported a failure may take to end with its reason."""
-
 
 class Peer:
     """One participant as the coordinator knows it, and the turn being received from it."""
@@ -84,7 +81,7 @@ class Peer:
             self.done = control.value
             self.granted_ns = None
         elif control.kind == Kind.FAILED:
-            how = self.child.how_it_ended(FAILED_ENDS_S) if self.child is not None else None
+            how = self.child.how_it_ended(2.0) if self.child is not None else None
             raise ParticipantLost(self.name, how or "failed; its own error output says why")
         else:
             raise self._against_rules(f"sent {control.kind.name}, which only the coordinator sends")

@@ -73,7 +73,6 @@ LONGEST_BATCH = 2048
 """Records in one datagram of the local socket at most."""
 
 _CONTROL = struct.Struct("<IB3xQ")
-_UNUSED_BYTE = 0xFF
 
 
 class Kind(IntEnum):
@@ -134,7 +133,7 @@ def reason(refusal: int) -> str:
 
 
 def control(
-    kind: Kind, participant: int = NOBODY, extra: int = _UNUSED_BYTE, value: int = NEVER_NS
+    kind: Kind, participant: int = NOBODY, extra: int = 0xFF, value: int = NEVER_NS
 ) -> bytes:
     """Return the record of a control frame.
 
