@@ -100,7 +100,7 @@ def examples() -> dict[str, dict[str, str]]:
 def keys() -> Iterator[str]:
     """Yield the lines of the page of the keys of scenario, study and replay option files."""
     from docs.key_table import describe
-    from sil.replay.signals import Options
+    from sil.log_replay.signals import Options
     from sil.simulation.scenario import Scenario
     from sil.studies.kinds import StudyKind
     from sil.studies.study import StudyFile
@@ -280,7 +280,7 @@ PYTHON_API = {
         "sil.campaign.simulate:SimulatedStroke",
         "sil.api:Sweep",
         "sil.inference.campaign.diagnosis:Diagnosis",
-        "sil.replay.replay:ReplayResult",
+        "sil.log_replay.replay:ReplayResult",
         "can_dbc.errors:InputError",
         "can_dbc.errors:RunError",
     ),

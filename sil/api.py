@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from sil.campaign.simulate import SimulatedStroke
     from sil.inference.campaign.diagnosis import Diagnosis
-    from sil.replay.replay import ReplayResult
+    from sil.log_replay.replay import ReplayResult
     from sil.simulation.in_memory import Run
 
 Where = str | Path
@@ -264,8 +264,8 @@ def replay(
     RunError
         If the firmware fails.
     """
-    from sil.replay.replay import ReplayRequest
-    from sil.replay.replay import replay as replayed
+    from sil.log_replay.replay import ReplayRequest
+    from sil.log_replay.replay import replay as replayed
 
     return replayed(
         ReplayRequest(

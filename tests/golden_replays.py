@@ -13,9 +13,9 @@ from pathlib import Path
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
-from sil.replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS
-from sil.replay.replay import ReplayRequest, ReplayResult, replay
-from sil.replay.report import summary_lines
+from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS
+from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
+from sil.log_replay.report import summary_lines
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 

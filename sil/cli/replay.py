@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING
 from sil.cli.options import JSON, SELECTION, SETTINGS, STRICT, TIMES, argument, out, reading
 
 if TYPE_CHECKING:
+    from sil.log_replay.replay import ReplayResult
+    from sil.log_replay.truck_replay import TruckReplay
     from sil.logs import Logs
-    from sil.replay.replay import ReplayResult
-    from sil.replay.truck_replay import TruckReplay
 
 EXAMPLE = """\
 example:
@@ -95,9 +95,9 @@ def run(arguments: argparse.Namespace) -> int:
         return code
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
-    from sil.replay.checkout import checkout
-    from sil.replay.replay import ReplayRequest, replay
-    from sil.replay.signals import Options, load_options
+    from sil.log_replay.checkout import checkout
+    from sil.log_replay.replay import ReplayRequest, replay
+    from sil.log_replay.signals import Options, load_options
 
     with ExitStack() as stack:
         reference = None
@@ -120,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _report(arguments: argparse.Namespace, outcome: ReplayResult | TruckReplay) -> None:
     """Write the files of a replay and print it: a log that is refused leaves no folder behind."""
-    from sil.replay.report import report
+    from sil.log_replay.report import report
 
     reported = report(outcome)
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
@@ -181,7 +181,7 @@ NOT_SUMMARY = (*OWN_LOG_ONLY, "firmware", "settings", "strategy", "dbc", "map")
 def _truck(arguments: argparse.Namespace) -> int | None:
     """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
     from can_dbc.errors import InputError
-    from sil.replay.truck_replay import replay_truck
+    from sil.log_replay.truck_replay import replay_truck
 
     given = [name for name in OWN_LOG_ONLY if getattr(arguments, name)]
     if given and arguments.map is not None:
@@ -236,7 +236,7 @@ def _summary(arguments: argparse.Namespace) -> int:
     if report.files or report.notes or not report.clean:
         lines += [f"log: {line}" for line in report.lines()[1:]]
     if arguments.out is not None:
-        from sil.replay.report import shifts_page
+        from sil.log_replay.report import shifts_page
 
         folder = _prepared(arguments, "summary")
         call = shlex.join(["opc4", *sys.argv[1:]])

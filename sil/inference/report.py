@@ -70,7 +70,7 @@ def headline(verdict: str, causes: Sequence[Cause], sizes: Sequence[str], reason
         seen = f" {', '.join(sizes)} would have been seen." if sizes else ""
         return f"Nothing found.{seen}"
     first = causes[0]
-    if verdict == "unnamed":
+    if verdict == UNNAMED:
         return f"Something is wrong ({first.cause_class}); no cause of the catalogue fits."
     texts = []
     for cause in causes:

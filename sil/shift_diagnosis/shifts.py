@@ -34,8 +34,8 @@ from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
 from plant.parameters import ParameterSet
 from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
+from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, is_intact
 from sil.logs import LogFrame, LogReader, open_log
-from sil.replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, is_intact
 from sil.shifts.cutter import CommandedShifts
 
 Floats = NDArray[np.float64]

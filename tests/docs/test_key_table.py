@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from docs.key_table import Key, describe
-from sil.replay.signals import Options
+from sil.log_replay.signals import Options
 from sil.simulation.scenario import Scenario
 from sil.studies.study import StudyFile
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.replay.replay import ReplayRequest, replay
-from sil.replay.report import as_dict, summary_lines, text
+from sil.log_replay.replay import ReplayRequest, replay
+from sil.log_replay.report import as_dict, summary_lines, text
 from tests.support.golden_logs import GOLDEN
 
 NAMES = ("lab_n_b", "full_shift", "bus_off", "firmware_2500us", "late_valve_commands")

@@ -22,9 +22,9 @@ from can_dbc.e2e import PROTECTED
 from can_dbc.messages import SafetyBlow, ValveCommand
 from sil import cli
 from sil.coupling.transports import address
+from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, counter_of
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.logs import open_log
-from sil.replay.recorded_frames import OWN_IDS, RecordedFrames, counter_of
-from sil.replay.replay import ReplayRequest, replay
 from sil.simulation.build import received
 from sil.simulation.free_run import jitter
 

@@ -10,8 +10,8 @@ import pytest
 from can_dbc.contract import DBC_PATH
 from can_dbc.messages import ControllerStatus, PlantMotion
 from sil.files.overrides import NO_SETTINGS, Settings
+from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.logs import open_log
-from sil.replay.replay import ReplayRequest, ReplayResult, replay
 from sil.simulation import load_scenario, runner
 from sil.simulation.in_memory import run_in_memory
 from tests.scenarios.conftest import ShippedRun

@@ -12,7 +12,7 @@ import pytest
 
 from can_dbc.contract import DBC_PATH
 from sil.cli import main
-from sil.replay.recorded_frames import OWN_IDS
+from sil.log_replay.recorded_frames import OWN_IDS
 from tests.conftest import ROOT
 from tests.support.replay_cost import made_log, peak_memory
 

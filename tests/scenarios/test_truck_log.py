@@ -10,7 +10,7 @@ import pytest
 
 from sil.cli import main
 from sil.j1939.mapping import LAYOUT, SHIPPED
-from sil.replay import report
+from sil.log_replay import report
 from tests.support.truck_synthesis import (
     DRIVE,
     MadeShift,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sil.log_replay.recorded_frames import Arrival, RecordedFrames
 from sil.logs import LogFrame, open_log, open_writer
-from sil.replay.recorded_frames import Arrival, RecordedFrames
 from tests.conftest import ROOT
 
 GOLDEN = ROOT / "tests" / "golden"

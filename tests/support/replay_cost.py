@@ -23,7 +23,7 @@ FORMATS = ("log", "asc", "blf")
 
 MEMORY = r"""
 import re, sys
-from sil.replay.replay import ReplayRequest, replay
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.logs import open_log
 if sys.argv[1] == "read":
     frames = sum(1 for _ in open_log(sys.argv[2]))
@@ -138,7 +138,7 @@ def pass_through(log: Path) -> None:
 
 def replay_whole(log: Path) -> None:
     """Replay a log, without report."""
-    from sil.replay.replay import ReplayRequest, replay
+    from sil.log_replay.replay import ReplayRequest, replay
 
     assert not replay(ReplayRequest(str(log))).differs
 

@@ -15,9 +15,9 @@ import pytest
 from can_dbc.contract import DBC_PATH
 from can_dbc.e2e import PROTECTED
 from can_dbc.messages import ValveCommand
+from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, counter_of
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.logs import open_log
-from sil.replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, counter_of
-from sil.replay.replay import ReplayRequest, replay
 from tests.vcan.test_vcan import PATIENCE_S, Frames, candump, frames_of
 
 pytestmark = pytest.mark.vcan

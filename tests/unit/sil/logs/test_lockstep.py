@@ -10,10 +10,10 @@ from can_dbc.errors import InputError
 from can_dbc.frame import EDP_BIT, Frame
 from sil.coupling.transports import wire
 from sil.coupling.transports.wire import Kind
+from sil.log_replay.options import find_settings
+from sil.log_replay.tick_grid import survey
 from sil.logs import open_log
 from sil.logs.convert import convert
-from sil.replay.options import find_settings
-from sil.replay.tick_grid import survey
 from tests.support.golden_logs import arrivals
 
 FRAMES = [(1_000_000 * k + 250, Frame(0x0CFF2091, bytes((k, *range(7))))) for k in range(20)]

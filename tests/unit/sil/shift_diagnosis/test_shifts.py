@@ -16,8 +16,8 @@ from can_dbc.frame import Frame
 from can_dbc.messages import DrivelineSpeeds, SafetyBlow, ValveCommand
 from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
+from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames
 from sil.logs import open_log, open_writer
-from sil.replay.recorded_frames import OWN_IDS, RecordedFrames
 from sil.shift_diagnosis.shifts import NO_BLOWS, Shift, ShiftReader, shifts_of
 
 MAP = """

@@ -1,0 +1,280 @@
+"""Recorded against replayed, tick by tick as they come: signals, edges, states, where they part."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+from can_dbc.messages import Chamber, ControllerStatus, Etc1, SafetyBlow, ValveCommand
+from sil.log_replay.edges import MatchedEdges, SwitchingSignal, match_edges
+from sil.log_replay.excerpts import ExcerptRecorder, Row
+from sil.log_replay.signals import NAMES, Options, SignalComparer, value_text, values
+
+RECORDED, REPLAYED = 0, 1
+CHAMBERS: Final = (Chamber.B, Chamber.N, Chamber.F)
+Side = Mapping[type, bytes]
+
+
+@dataclass
+class SignalCount:
+    """How one signal compared."""
+
+    compared: int = 0
+    differing: int = 0
+    largest: float | None = None
+    first_ns: int | None = None
+
+
+class Difference(NamedTuple):
+    """Where the two sides differ first, and the inputs that led there (texts, oldest first)."""
+
+    time_ns: int
+    signals: list[tuple[str, str, str]]
+    inputs: list[str]
+
+    def as_dict(self, base_ns: int) -> dict[str, Any]:
+        """Return time and signals as plain JSON values; the time on the log's clock."""
+        named = [{"name": name, "recorded": a, "replayed": b} for name, a, b in self.signals]
+        return {"time_s": (self.time_ns + base_ns) / 1e9, "signals": named}
+
+
+@dataclass
+class StateHistory:
+    """What a discrete signal was on both sides: (time in ns, name) of each change."""
+
+    name: str
+    sides: tuple[list[tuple[int, str]], ...] = field(default_factory=lambda: ([], []))
+
+    def take(self, side: int, time_ns: int, value: str) -> None:
+        """Note the value of a side."""
+        history = self.sides[side]
+        if (not history or history[-1][1] != value) and len(history) < 200_000:
+            history.append((time_ns, value))
+
+    def sequence(self, side: int) -> list[str]:
+        """Return the names in order."""
+        return [name for _, name in self.sides[side]]
+
+    @property
+    def differs(self) -> bool:
+        """Whether the two sequences are not the same, whatever their times."""
+        return self.sequence(RECORDED) != self.sequence(REPLAYED)
+
+
+class Comparison:
+    """Compares both sides of each tick in bounded memory.
+
+    `inputs`: called where the sides part, returns the inputs that led there. Memory grows
+    with the number of edges and state changes, not with the log.
+    Checked by: tests/unit/sil/log_replay/test_comparison.py
+    """
+
+    def __init__(
+        self,
+        options: Options,
+        duty_closed: float,
+        inputs: Callable[[], list[str]] = list,
+        warming: bool = False,
+    ) -> None:
+        self._options = options
+        self._judge = SignalComparer(options)
+        self._duty_closed = duty_closed
+        self._inputs = inputs
+        self.signals: defaultdict[str, SignalCount] = defaultdict(SignalCount)
+        self.ticks = 0
+        self.differing_ticks = 0
+        self.damaged: Counter[type] = Counter()
+        self.first: Difference | None = None
+        self.first_command: Difference | None = None
+        self.switches = [SwitchingSignal(f"valve {c.name}", "opens", "closes") for c in CHAMBERS]
+        self.switches += [
+            SwitchingSignal("safety blow", "begins", "ends"),
+            SwitchingSignal("shift in process", "begins", "ends"),
+        ]
+        self.states = [StateHistory("state"), StateHistory("confirmed gear")]
+        self.excerpts = ExcerptRecorder()
+        self.warm_up_ticks = 0
+        self._warm_since: int | None = None
+        self._warming = warming
+        self._rested = False
+        self._held: tuple[dict[type, tuple[Any, ...]], ...] = ({}, {})
+        self._recent: dict[type, deque[tuple[int, tuple[Any, ...]]]] = {}
+        self._waiting: deque[tuple[int, type, tuple[Any, ...]]] = deque()
+
+    def begin_warm_up(self) -> None:
+        """From here on compare only once the sides agree: the replay had to begin anew."""
+        self._warming, self._warm_since, self._rested = True, None, False
+
+    def take(self, time_ns: int, recorded: Side, replayed: Side) -> None:
+        """Take what the sides sent at a time (of the log's clock, ns), data by message type.
+
+        Either side may be silent; its latest message then counts. Counters and checksums are
+        left out of the data (`bare`).
+        """
+        ours = self._read(RECORDED, recorded, time_ns)
+        self._read(REPLAYED, replayed, time_ns)
+        if self._warming and not self._warm(time_ns, ours):
+            return
+        if ours:
+            self.ticks += 1
+        differing: list[tuple[str, str, str]] = []
+        if self._options.time_ns:
+            self._waiting.extend(
+                (time_ns, kind, message_values) for kind, message_values in ours.items()
+            )
+            differing = self._compare_waiting(time_ns - self._options.time_ns)
+        else:
+            for kind, message_values in ours.items():
+                if kind in recorded and recorded[kind] == replayed.get(kind):
+                    self._count(kind)
+                else:
+                    differing += self._compare(
+                        time_ns, kind, message_values, self._held[REPLAYED].get(kind)
+                    )
+        commands_part = self._part(time_ns, differing)
+        self._switch(time_ns, commands_part)
+
+    def finish(self) -> None:
+        """Compare what is still waiting: the log ends."""
+        if self._options.time_ns and self._waiting:
+            last_ns = self._waiting[-1][0]
+            self._part(last_ns, self._compare_waiting(last_ns))
+        self.excerpts.finish()
+
+    def _read(self, side: int, sent: Side, time_ns: int) -> dict[type, tuple[Any, ...]]:
+        decoded_by_kind: dict[type, tuple[Any, ...]] = {}
+        for kind, data in sent.items():
+            decoded = values(kind, data)
+            if decoded is None:
+                self.damaged[kind] += 1
+                continue
+            decoded_by_kind[kind] = self._held[side][kind] = decoded
+            if side == REPLAYED and self._options.time_ns:
+                self._recent.setdefault(kind, deque()).append((time_ns, decoded))
+        return decoded_by_kind
+
+    def _warm(self, time_ns: int, ours: Mapping[type, tuple[Any, ...]]) -> bool:
+        """Whether the sides agree by now, have had their time, or begin something."""
+        if self._warm_since is None:
+            self._warm_since = time_ns
+        theirs = self._held[REPLAYED]
+        status = ControllerStatus in ours
+        agree = all(
+            kind in theirs and not self._judge.differing(kind, message_values, theirs[kind])
+            for kind, message_values in ours.items()
+        )
+        busy = [any(self._valve_on(side, chamber) for chamber in CHAMBERS) for side in (0, 1)]
+        begun = busy[REPLAYED] or (busy[RECORDED] and self._rested)  # a shift from its beginning
+        self._rested |= bool(ours) and not busy[RECORDED]
+        if (status and agree) or begun or time_ns - self._warm_since > 5_000_000_000:
+            self._warming = False
+            return True
+        self.warm_up_ticks += bool(ours)
+        return False
+
+    # --- signals ----------------------------------------------------------------------------
+    def _count(self, kind: type) -> None:
+        for name in NAMES[kind]:
+            self.signals[name].compared += 1
+
+    def _compare(
+        self, time_ns: int, kind: type, ours: tuple[Any, ...], theirs: tuple[Any, ...] | None
+    ) -> list[tuple[str, str, str]]:
+        self._count(kind)
+        if theirs is None:
+            theirs = (None,) * len(ours)
+        differing = self._judge.differing(kind, ours, theirs)
+        for index, name in differing:
+            entry = self.signals[name]
+            entry.differing += 1
+            if entry.first_ns is None:
+                entry.first_ns = time_ns
+            a, b = ours[index], theirs[index]
+            if isinstance(a, float) and isinstance(b, float):
+                entry.largest = max(entry.largest or 0.0, abs(a - b))
+        return [(name, value_text(ours[i]), value_text(theirs[i])) for i, name in differing]
+
+    def _compare_waiting(self, until_ns: int) -> list[tuple[str, str, str]]:
+        """Compare what was recorded up to a time with what the replay had around it."""
+        differing: list[tuple[str, str, str]] = []
+        around_ns = self._options.time_ns
+        while self._waiting and self._waiting[0][0] <= until_ns:
+            time_ns, kind, ours = self._waiting.popleft()
+            recent = self._recent.get(kind, deque())
+            while len(recent) > 1 and recent[1][0] <= time_ns - around_ns:
+                recent.popleft()
+            near = [
+                message_values for at_ns, message_values in recent if at_ns <= time_ns + around_ns
+            ]
+            best = min(
+                near,
+                key=lambda message_values: len(self._judge.differing(kind, ours, message_values)),
+                default=None,
+            )
+            if best is not None:  # each signal may have had its value at its own instant
+                best = tuple(
+                    next((f[i] for f in near if f[i] == ours[i]), best[i]) for i in range(len(ours))
+                )
+            differing += self._compare(time_ns, kind, ours, best)
+        return differing
+
+    def _part(self, time_ns: int, differing: list[tuple[str, str, str]]) -> bool:
+        """Note where the sides part; return whether the plant would hear it."""
+        if not differing:
+            return False
+        self.differing_ticks += 1
+        heard = [d for d in differing if d[0].startswith(("ValveCommand.", "SafetyBlow."))]
+        if self.first is None:
+            self.first = Difference(time_ns, differing, self._inputs())
+        if heard and self.first_command is None:
+            self.first_command = Difference(time_ns, heard, self._inputs())
+        return bool(heard)
+
+    # --- edges and states -------------------------------------------------------------------
+    def _valve_on(self, side: int, chamber: Chamber) -> bool:
+        """Whether a coil is energised, by its duty or by a blow."""
+        valves = self._held[side].get(ValveCommand)
+        if valves is not None and valves[chamber] > self._duty_closed:
+            return True
+        blow = self._held[side].get(SafetyBlow)
+        return blow is not None and blow[1] and blow[0] is chamber
+
+    def _switch(self, time_ns: int, commands_part: bool) -> None:
+        """Bring lanes, states and scenes up to date."""
+        changed = False
+        coils: list[tuple[bool, ...]] = []
+        names: list[str] = []
+        estimates: list[float | None] = []
+        for side in (RECORDED, REPLAYED):
+            held = self._held[side]
+            blow, etc1, status = held.get(SafetyBlow), held.get(Etc1), held.get(ControllerStatus)
+            on = (
+                *(self._valve_on(side, chamber) for chamber in CHAMBERS),
+                blow is not None and bool(blow[1]),
+                etc1 is not None and bool(etc1[2]),
+            )
+            coils.append(on[:3])
+            for signal, is_on in zip(self.switches, on, strict=True):
+                changed |= signal.take(side, time_ns, is_on)
+            if status is not None:
+                for history, value in zip(self.states, status, strict=False):
+                    history.take(side, time_ns, value.name)
+            names.append("" if status is None else status[0].name)
+            estimates.append(None if status is None else status[2])
+        self.excerpts.take(Row(time_ns, coils, names, estimates), changed, commands_part)
+
+    def matched_edges(self) -> list[MatchedEdges]:
+        """Match the edges of all lanes."""
+        return [match_edges(signal, self._options.window_ns) for signal in self.switches]
+
+    @property
+    def engaged(self) -> bool:
+        """Whether any valve was energised on either side."""
+        return any(signal.recorded or signal.replayed for signal in self.switches[:3])
+
+    @property
+    def differs(self) -> bool:
+        """Whether anything differs that the options do not allow."""
+        return any(entry.differing for entry in self.signals.values())

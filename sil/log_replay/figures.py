@@ -1,0 +1,312 @@
+"""The figures of a replay, of a truck's shifts beside ours, and of a summary of shifts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from can_dbc.messages import ShiftState
+from sil.j1939.summary import J1939Summary
+from sil.log_replay.excerpts import Excerpt, Row
+from sil.log_replay.plant_side import Position
+from sil.log_replay.truck_loop import OurShift
+from sil.log_replay.truck_replay import (
+    ComparedShift,
+    TruckReplay,
+    columns_of,
+    side_figures,
+    truck_verdict,
+)
+from sil.log_replay.truck_shift import NAMES, PHASES
+from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Stack, Zoom, spans_of
+from sil.shifts.cutter import Shift, gear_name
+from sil.shifts.engine import EngineTrace
+
+NS_PER_MS = 1e6
+SIDES = ((0, "estimate", 2.6), (1, "alarm", 1.2))
+"""Index, colour and line width of the recorded and of the replayed side."""
+
+
+def excerpts_figure(
+    scenes: Sequence[Excerpt],
+    labels: tuple[str, str],
+    base_ns: int,
+    positions: Sequence[Position] = (),
+) -> Figure:
+    """Return estimates, coils and states of both sides on one time axis, with a zoom per scene."""
+    parts = without_repetition(scenes)
+    pieces = [([(row.time_ns + base_ns) / NS_PER_MS for row in rows], rows) for rows in parts]
+    pieces = [(times, rows) for times, rows in pieces if rows]
+    estimates = _estimates(pieces, labels, base_ns, positions)
+    panels = [estimates, _coils(pieces, labels), _states(pieces, labels)]
+    zooms = []
+    for scene in scenes:
+        times = [(row.time_ns + base_ns) / NS_PER_MS for row in scene.rows]
+        if len(times) > 1:
+            name = f"{times[0] / 1e3:.3f} s{', differs' if scene.differs else ''}"
+            zooms.append(Zoom(name, times[0], _end(times)))
+    title = "the commands differ" if any(s.differs for s in scenes) else "the commands are equal"
+    return Figure([Stack("time of the log, ms", panels, zooms=zooms, width=10.8)], title)
+
+
+Piece = tuple[list[float], list[Row]]
+"""Times in ms, and the rows at them, one after the other without a gap."""
+
+
+def without_repetition(scenes: Sequence[Excerpt]) -> list[list[Row]]:
+    """Return the rows of the scenes in ascending time, each row once, one list per scene."""
+    parts: list[list[Row]] = []
+    last_ns: int | None = None
+    for scene in sorted(scenes, key=lambda scene: scene.rows[0].time_ns):
+        parts.append([row for row in scene.rows if last_ns is None or row.time_ns > last_ns])
+        last_ns = max(scene.rows[-1].time_ns, last_ns or 0)
+    return parts
+
+
+def _end(times: Sequence[float]) -> float:
+    """Return when the last tick of a piece ends, in ms."""
+    return times[-1] + (times[1] - times[0] if len(times) > 1 else 10.0)
+
+
+def _over(
+    pieces: Sequence[Piece], value: Callable[[Row], float | None], gap_ms: float = 1e-3
+) -> tuple[Floats, Floats]:
+    """Return times in ms and values [n] each, held to the end of each piece, NaN between pieces."""
+    times: list[float] = []
+    values: list[float] = []
+    for piece_times, rows in pieces:
+        if times and piece_times[0] > times[-1] + gap_ms:
+            times.append(times[-1] + gap_ms)
+            values.append(np.nan)
+        elif times:  # the piece follows without a gap
+            del times[-1], values[-1]
+        known = [np.nan if (v := value(row)) is None else v for row in rows]
+        times += [*piece_times, _end(piece_times)]
+        values += [*known, known[-1]]
+    return np.array(times), np.array(values)
+
+
+def _estimates(
+    pieces: Sequence[Piece],
+    labels: tuple[str, str],
+    base_ns: int,
+    positions: Sequence[Position],
+) -> Panel:
+    lines = []
+    for side, role, width in SIDES:
+        times, values = _over(pieces, lambda row, side=side: row.estimates_m[side])  # type: ignore[misc]
+        label = f"estimate, {labels[side]}"
+        lines.append(Series(label, times, MM * values, role, "stepped", width=width))
+    ends = [(rows[0].time_ns, rows[-1].time_ns) for _, rows in pieces]
+    near = [p for p in positions if any(a <= p.time_ns <= b for a, b in ends)]
+    near_ms = np.array([(p.time_ns + base_ns) / NS_PER_MS for p in near])
+    for label, position_m, dashed in (
+        ("true position, recorded", [p.recorded_m for p in near], False),
+        ("true position, plant replayed", [p.replayed_m for p in near], True),
+    ):
+        known = np.isfinite(position_m)
+        if known.any():
+            y = MM * np.array(position_m)[known]
+            lines.append(Series(label, near_ms[known], y, "truth", dashed=dashed, width=1.2))
+    return Panel("Position", "mm", lines, height=230)
+
+
+def _coils(pieces: Sequence[Piece], labels: tuple[str, str]) -> Panel:
+    """Coils energised: B on top, the replayed side (full) below the recorded one (pale)."""
+    spans, ticks = [], []
+    for lane, chamber in enumerate("FNB"):
+        k = 2 - lane
+        for side, low in ((1, lane + 0.08), (0, lane + 0.52)):
+            ticks.append((low + 0.18, f"{chamber} {labels[side]}"))
+            style = "solid" if side else "pale"
+            for times, rows in pieces:
+                on = [row.coils[side][k] for row in rows]
+                spans += [
+                    Span(a, b, chamber, "", low, low + 0.36, style)  # type: ignore[arg-type]
+                    for a, b in spans_of(times, on, _end(times))
+                ]
+    rules = [Rule(float(lane), "", "grid", "y", "solid") for lane in range(3)]
+    return Panel(
+        "Coils energised", spans=spans, ticks=ticks, rules=rules, height=160, limits=(-0.02, 3.0)
+    )
+
+
+def _states(pieces: Sequence[Piece], labels: tuple[str, str]) -> Panel:
+    spans = []
+    for side, base in ((0, 1.0), (1, 0.0)):
+        for times, rows in pieces:
+            names = [row.states[side] for row in rows]
+            for name in dict.fromkeys(names):
+                role, text = name if name in ShiftState.__members__ else "grid", name.lower()
+                spans += [
+                    Span(a, b, role, text, base + 0.06, base + 0.94)
+                    for a, b in spans_of(times, [n == name for n in names], _end(times))
+                ]
+    ticks = [(1.5, f"state {labels[0]}"), (0.5, f"state {labels[1]}")]
+    return Panel("Firmware state", spans=spans, ticks=ticks, height=76, limits=(0.0, 2.0))
+
+
+def positions_figure(positions: Sequence[Position], base_ns: int) -> Figure:
+    """Return the plant's recorded and replayed position, and their difference."""
+    both = [p for p in positions if np.isfinite(p.recorded_m)]
+    times = np.array([(p.time_ns + base_ns) / NS_PER_MS for p in both])
+    recorded = MM * np.array([p.recorded_m for p in both])
+    replayed = MM * np.array([p.replayed_m for p in both])
+    lines = [
+        Series("recorded", times, recorded, "truth", width=2.4),
+        Series("plant replayed", times, replayed, "alarm", width=1.2),
+    ]
+    difference = [Series("replayed - recorded", times, replayed - recorded, "alarm", width=1.0)]
+    panels = [
+        Panel("Position of the plant", "mm", lines, height=230),
+        Panel("Difference", "mm", difference, height=110),
+    ]
+    return Figure([Stack("time of the log, ms", panels, width=10.8)])
+
+
+ROLES = ("truth", "after", "before")
+"""Colours of the recorded side, of ours, and of ours as changed."""
+
+PHASE_ROLES = dict(zip(PHASES, ("INIT", "N", "HOLD", "B", "CONFIRM"), strict=True))
+
+
+def all_shifts_figure(replay: TruckReplay) -> Figure:
+    """Return the time to the new gear of every shift, by column."""
+    series, spans = [], []
+    for column, name in enumerate(columns_of(replay)):
+        times = [
+            (shift.number, side_figures(shift, column)["request to new gear"])
+            for shift in replay.shifts
+            if not shift.skipped
+        ]
+        known = np.array([(n, t) for n, t in times if t is not None], dtype=np.float64)
+        if len(known):
+            series.append(Series(name, known[:, 0], known[:, 1], ROLES[column], "dots", width=4.0))
+    for shift in replay.shifts:
+        if not shift.counts:
+            spans.append(Span(shift.number - 0.4, shift.number + 0.4, "grid"))
+    panel = Panel("Request to new gear", "s", series, spans=spans, height=260)
+    ticks = [(shift.number, shift.title) for shift in replay.shifts]
+    few = ticks if len(ticks) <= 24 else ()
+    return Figure([Stack("shift", [panel], ticks=few, width=10.0)], "All shifts of the log")
+
+
+def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:
+    """Return speeds, torque, position and phases of a shift, recorded and ours."""
+    recorded = shift.recorded
+    names = columns_of(replay)
+    end_s = max([recorded.end_s, *(o.times_s["engaged"] or 0.0 for o in shift.ours)]) + 0.4
+    cut = recorded.times_s["torque_cut"]
+    instants = [(0.0, "request")] + ([] if cut is None else [(cut, "torque cut: our request")])
+    if cut is not None and abs(cut) < 0.03:
+        instants = [(0.0, "request, torque cut: our request")]
+    rules = [Rule(at) for at, _ in instants]
+    panels = []
+    speeds = _speeds(shift, names)
+    if speeds:
+        named = [Rule(at, name) for at, name in instants]
+        panels.append(Panel("Speed difference at the synchronizer", "rad/s", speeds, rules=named))
+    torque = recorded.signals["engine_torque_share"]
+    if torque is not None:
+        line = Series("engine torque", torque.time_s, 100.0 * torque.values, ROLES[0], "stepped")
+        panels.append(Panel("Engine torque, recorded", "%", [line], rules=rules, height=110))
+    stays = [
+        Series(names[k], ours.time_s, MM * ours.position_m, ROLES[k])
+        for k, ours in enumerate(shift.ours, start=1)
+    ]
+    if stays:
+        panels.append(Panel("Our stay", "mm", stays, rules=rules, height=130))
+    sides = [recorded.times_s, *(ours.times_s for ours in shift.ours)]
+    spans = [
+        span for k, times in enumerate(sides) for span in _phase_spans(times, len(sides) - 1 - k)
+    ]
+    ticks = [(len(sides) - 0.5 - k, name) for k, name in enumerate(names[: len(sides)])]
+    keys = [(f"to {NAMES[phase]}", PHASE_ROLES[phase]) for phase in PHASES]
+    limits = (0.0, float(len(sides)))
+    panels.append(
+        Panel("Phases", spans=spans, ticks=ticks, keys=keys, height=40 * len(sides), limits=limits)
+    )
+    stack = Stack("time after the request, s", panels, limits=(-0.4, end_s), width=10.0)
+    return Figure([stack], f"Shift {shift.title}", truck_verdict(shift)[0])
+
+
+def _speeds(shift: ComparedShift, names: list[str]) -> list[Series]:
+    sync = shift.recorded.synchronisation
+    if sync is None:
+        return []
+    series = [Series(names[0], sync.time_s, sync.difference_rad_s, ROLES[0], width=2.4)]
+    for k, ours in enumerate(shift.ours, start=1):
+        series.append(Series(names[k], ours.time_s, _referred(ours), ROLES[k]))
+    return series
+
+
+def _referred(ours: OurShift) -> np.ndarray:
+    """Return our difference [n], in rad/s, NaN before the gear is left: it refers to the next gear."""
+    left = ours.times_s["disengaged"]
+    if left is None:
+        return ours.difference_rad_s
+    return np.where(ours.time_s > left + 0.01, ours.difference_rad_s, np.nan)
+
+
+def _phase_spans(times_s: dict[str, float | None], lane: int) -> list[Span]:
+    """Return a rectangle per phase that is known, from the instant before it that is known."""
+    spans, begin = [], 0.0
+    for phase in PHASES:
+        at = times_s[phase]
+        if at is not None and at >= begin:
+            spans.append(Span(begin, at, PHASE_ROLES[phase], "", lane + 0.1, lane + 0.9))
+            begin = at
+    return spans
+
+
+def _ms(summary: J1939Summary, time_ns: int) -> float:
+    """Return a time in ms from the log's first frame."""
+    return (time_ns - (summary.first_ns or 0)) / 1e6
+
+
+def _name(shift: Shift) -> str:
+    return f"{gear_name(shift.from_gear)} to {gear_name(shift.to_gear)}"
+
+
+def shift_times_figure(summary: J1939Summary) -> Figure:
+    """Return the time of each shift over the time of the log."""
+    x = np.array([_ms(summary, shift.start_ns) / 1e3 for shift in summary.shifts])
+    y = np.array([shift.duration_s for shift in summary.shifts])
+    panel = Panel("Shift time", "s", [Series("shift time", x, y, "after", "dots")], height=150)
+    return Figure([Stack("time of the log, s", [panel], width=10.8)])
+
+
+def engine_figure(summary: J1939Summary, shifts: Sequence[Shift]) -> Figure:
+    """Return torque and speed of the engine, the shifts as spans, with a zoom for each."""
+    views = [(_ms(summary, s.start_ns) - 1000.0, _ms(summary, s.end_ns) + 1000.0) for s in shifts]
+    spans = [Span(_ms(summary, s.start_ns), _ms(summary, s.end_ns), "band") for s in shifts]
+    zooms = [
+        Zoom(f"{n}. {_name(s)}", *view)
+        for n, (s, view) in enumerate(zip(shifts, views, strict=True), 1)
+    ]
+    channels = sorted({shift.channel for shift in shifts} & summary.engines.keys())
+    panels = []
+    for title, unit, column, role in (
+        ("Engine torque (actual)", "%", "torque_percent", "after"),
+        ("Engine speed", "rpm", "speed_rpm", "truth"),
+    ):
+        lines = [_line(summary, summary.engines[channel], column, views) for channel in channels]
+        series = [Series(title.lower(), *line, role) for line in lines if len(line[0])]
+        panels.append(Panel(title, unit, series, spans=spans, height=190))
+    title = _name(shifts[0]) if len(shifts) == 1 else ""
+    return Figure([Stack("time of the log, ms", panels, zooms=zooms, width=10.8)], title)
+
+
+def _line(
+    summary: J1939Summary, engine: EngineTrace, column: str, views: Sequence[tuple[float, float]]
+) -> tuple[Floats, Floats]:
+    """Return times in ms and values [n] within any view, NaN where samples are missing."""
+    x = (np.array(engine.time_ns) - (summary.first_ns or 0)) / 1e6
+    y = np.array(getattr(engine, column), dtype=np.float64)
+    near = np.zeros(len(x), dtype=bool)
+    for begin, end in np.searchsorted(x, views).tolist():
+        near[begin:end] = True
+    x, y = x[near], y[near]
+    breaks = np.flatnonzero(np.diff(x) > 500.0) + 1
+    return np.insert(x, breaks, x[breaks - 1] + 1e-3), np.insert(y, breaks, np.nan)

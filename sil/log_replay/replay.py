@@ -1,0 +1,347 @@
+"""One replay of a log, from its path to what differs."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import msgspec
+
+from can_dbc.errors import InputError
+from can_dbc.messages import ShiftRequest, ValveCommand
+from controller.node import ControllerNode
+from sil.coupling.transports.channel import Participant
+from sil.files.html_table import html_table
+from sil.files.overrides import Settings
+from sil.files.quantity import counted
+from sil.log_replay.comparison import Comparison
+from sil.log_replay.executor import Account, ReplayExecutor, Unit
+from sil.log_replay.options import ReplaySettings, find_settings
+from sil.log_replay.plant_side import PlantSide
+from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, ids_of_database
+from sil.log_replay.signals import Options
+from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
+from sil.log_replay.ticks import TickMap, map_ticks
+from sil.logs import LogFrame, LogReport, Logs, open_logs
+from sil.nodes.own_firmware import OwnController
+
+ESTIMATE = "ControllerStatus.estimate_m"
+FORGOTTEN_M = 1e-6
+"""What the filter still remembers of the motion before a replay begun in the middle, at most."""
+
+
+@dataclass(frozen=True)
+class ReplayRequest:
+    """What to replay; see `opc4 replay --help`."""
+
+    log: str
+    firmware: str | None = None
+    settings: Settings = field(default_factory=dict)
+    options: Options = field(default_factory=Options)
+    run: str | None = None
+    dbc: str | None = None
+    plant: bool = False
+    closed_loop: bool = False
+    reader: Logs | None = None
+    """The log, opened; None: the one file `log`."""
+    reference: tuple[Path, str] | None = None
+    """Checkout and name of the control unit whose answers stand in for the recorded ones."""
+
+
+@dataclass
+class ReplayResult:
+    """Everything that a replay found."""
+
+    request: ReplayRequest
+    settings: ReplaySettings
+    grid: Grid
+    ticks: TickMap
+    comparison: Comparison
+    account: Account
+    read: LogReport
+    frames: int
+    steps: int
+    unanswered: Counter[str]
+    plant: PlantSide | None
+    foreign: list[tuple[str, int]]
+    notes: list[str] = field(default_factory=list)
+
+    def _repr_html_(self) -> str:
+        comparison = self.comparison
+        rows = [
+            ("ticks compared", comparison.ticks),
+            ("ticks that differ", comparison.differing_ticks),
+        ]
+        return html_table(
+            f"{self.request.log}", ("", ""), [*rows, *(("note", n) for n in self.notes)]
+        )
+
+    @property
+    def differs(self) -> bool:
+        """Whether any side differs."""
+        plant_differs = self.plant is not None and self.request.plant and self.plant.differing > 0
+        return self.comparison.differs or plant_differs
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """What the two sides are called."""
+        reference = self.request.reference
+        return ("recorded", "replayed") if reference is None else (reference[1], "here")
+
+
+def replay(request: ReplayRequest) -> ReplayResult:
+    """Replay a log. Raises InputError for a log that cannot be replayed, or without a shift.
+
+    Checked by: tests/scenarios/test_replay.py
+    """
+    log = _Log(request)
+    ready, grid = _timing(request, log)
+    config = ready.loaded.scenario.controller
+    frames = log.recorded_frames()
+    ticks = map_ticks(frames, grid)
+    if not frames.kinds[ShiftRequest]:
+        raise InputError(
+            f"{request.log}: no ShiftRequest in it, so nobody asked the control unit for anything; "
+            "expected a log of its bus"
+        )
+    if ticks.restarts and (request.plant or request.closed_loop):
+        raise InputError(
+            f"{request.log}: the recording has gaps ({len(ticks.restarts)}) in which the plant is unknown; "
+            "expected a recording without gaps, or neither --plant nor --closed-loop"
+        )
+    receives = _receiving(ready, grid, ticks, "controller")
+    with ExitStack() as stack:
+        firmware = stack.enter_context(closing(Unit(_firmware(ready))))
+        reference = None
+        if request.reference is not None:
+            tree, name = request.reference
+            make = partial(OwnController, str(tree), config, name)
+            reference = stack.enter_context(closing(Unit(make)))
+        plant = _plant(request, ready, grid, plant_receives=_receiving(ready, grid, ticks, "plant"))
+        executor = ReplayExecutor(ticks, firmware, config.period_ns, receives, plant, reference)
+        options = _options(request.options, grid, ticks)
+        comparison = Comparison(options, config.duty_closed, executor.inputs, not grid.fresh)
+        frames = log.recorded_frames()
+        executor.run(frames, comparison)
+    executor.account.other.update(frames.counts)
+    if not comparison.engaged:
+        raise InputError(
+            f"{request.log}: no valve was ever energised, in the recording or in the replay, so that "
+            "agreement would mean nothing; expected a log with a shift"
+        )
+    outcome = ReplayResult(
+        request=request,
+        settings=ready,
+        grid=grid,
+        ticks=ticks,
+        comparison=comparison,
+        account=executor.account,
+        read=log.reader.report,
+        frames=frames.total,
+        steps=executor.steps,
+        unanswered=executor.unanswered,
+        plant=plant,
+        foreign=[
+            (log.names.get(can_id, f"{can_id:08X}"), count)
+            for can_id, count in frames.foreign.most_common(20)
+        ],
+    )
+    if executor.moved_inputs:
+        outcome.notes.append(
+            f"{executor.moved_inputs} inputs within the jitter of a tick, counted as the recorded answers show"
+        )
+    outcome.notes += _notes(outcome, log, frames)
+    return outcome
+
+
+class _Log:
+    """The log under replay: its head for the survey, and fresh readings of the whole."""
+
+    def __init__(self, request: ReplayRequest) -> None:
+        self._request = request
+        self.names: Mapping[int, str] = {}
+        self._ids: Mapping[int, type] = OWN_IDS
+        if request.dbc is not None:
+            self._ids, self.names = ids_of_database(request.dbc)
+        self.reader = request.reader or open_logs([request.log])
+        self.channel: str | None = None
+        self.channels: Counter[str] = Counter()
+        self.skew = (0, 0.0)
+        """Time in ns from which the recorder's clock drifts from the control unit's, and the share."""
+        self._beginning = self._read_beginning()
+
+    def head(self) -> list[Arrival]:
+        """Return the first frames, for the survey."""
+        return list(self._recorded(self._beginning))
+
+    def recorded_frames(self) -> RecordedFrames:
+        """Return the frames of a new reading."""
+        return self._recorded(self.reader)
+
+    def _recorded(self, frames: Iterable[LogFrame]) -> RecordedFrames:
+        path = self._request.log
+        return RecordedFrames(
+            frames, channel=self.channel, ids=self._ids, path=path, skew=self.skew
+        )
+
+    def _read_beginning(self) -> list[LogFrame]:
+        """Read on to the first valve command, and some more; choose the channel."""
+        valves = {can_id for can_id, kind in self._ids.items() if kind is ValveCommand}
+        before: deque[LogFrame] = deque(maxlen=500)  # frames that the survey sees, too
+        frames: list[LogFrame] = []
+        entries = iter(self.reader)
+        first: LogFrame | None = None
+        for entry in entries:
+            first = first or entry
+            before.append(entry)
+            if entry.extended and entry.can_id in valves and not entry.remote and not entry.error:
+                frames = [*before, *islice(entries, HEAD_FRAMES)]
+                break
+        if not frames:
+            raise InputError(
+                f"{self._request.log}: no ValveCommand in it, so there is nothing to compare with; "
+                "expected a log of the control unit's bus, or --summary for any other truck's"
+            )
+        if first is not None and first is not frames[0]:
+            frames.insert(0, first)
+        self.channels = Counter(f.channel for f in frames if f.extended and f.can_id in valves)
+        if len({frame.channel for frame in frames}) > 1:
+            self.channel = self.channels.most_common(1)[0][0]
+        return sorted(frames, key=lambda frame: frame.time_ns)
+
+
+def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
+    """Return the settings, and the ticks of the recorded control unit. Raises InputError without any."""
+    log_head = survey(log.head())
+    ready = find_settings(
+        request.log,
+        log_head,
+        firmware=request.firmware,
+        settings=request.settings,
+        run=request.run,
+        with_plant=request.plant or request.closed_loop,
+    )
+    scene = ready.loaded.scenario
+    if log_head.skew and not ready.own_run:
+        log.skew = (log_head.first_ns, log_head.skew)
+        log_head = survey(log.head())
+    if ready.free_running:
+        log_head = survey(log.head(), period_ns=ready.recorded_ns)
+    elif log_head.bitrate is None and ready.own_run:
+        log_head = survey(log.head(), scene.bus.bitrate)
+    period_ns = log_head.period_ns or ready.recorded_ns
+    if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
+        period_ns = ready.recorded_ns
+    if log_head.release_ns is None:
+        raise InputError(
+            f"{request.log}: the steps of the recorded control unit cannot be found; expected its valve commands "
+            "and status at regular times"
+        )
+    grid = make_grid(log_head, period_ns, scene.controller.computation_ns, ready.free_running)
+    return ready, grid
+
+
+def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:
+    """Allow for the filter's memory where the replay began while the control unit was at work."""
+    if (grid.fresh and not ticks.restarts) or ESTIMATE in options.tolerance:
+        return options
+    tolerance = {**options.tolerance, ESTIMATE: FORGOTTEN_M}
+    return msgspec.structs.replace(options, tolerance=tolerance)
+
+
+def _firmware(ready: ReplaySettings) -> Callable[[], Participant]:
+    """Return what starts the control unit under replay."""
+    config, program = ready.loaded.scenario.controller, ready.loaded.scenario.firmware
+    if program:
+        return partial(OwnController, program, config)
+    return partial(ControllerNode, config)
+
+
+def _receiving(
+    ready: ReplaySettings, grid: Grid, ticks: TickMap, node: str
+) -> Callable[[int], bool]:
+    """Return what says whether a node receives the frames of a time: the run's faults, else its silence."""
+    from sil.coupling.faults import FaultPlan
+
+    scene = ready.loaded.scenario
+    if ready.own_run and grid.origin_ns == 0:
+        plan = FaultPlan(scene.fault, scene.seed)
+        return lambda time_ns: node not in plan.bus_off(time_ns)
+    if node == "controller":
+        return ticks.receives
+    return lambda time_ns: True
+
+
+def _plant(
+    request: ReplayRequest, ready: ReplaySettings, grid: Grid, plant_receives: Callable[[int], bool]
+) -> PlantSide | None:
+    if not (request.plant or request.closed_loop):
+        return None
+    from plant.node import PlantNode
+    from sil.simulation.build import plant_config, warm_up
+
+    warm_up(ready.loaded)
+    scene = ready.loaded.scenario
+    return PlantSide(
+        PlantNode(plant_config(scene), ready.loaded.parameters),
+        request.options,
+        closes=request.closed_loop,
+        bitrate=grid.bitrate,
+        computation_ns=scene.controller.computation_ns,
+        receives=plant_receives,
+        slack_ns=grid.slack_ns,
+    )
+
+
+def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str]:
+    """Return what a reader must know of this log."""
+    grid, ticks = outcome.grid, outcome.ticks
+    notes = []
+
+    def when(tick: int) -> str:
+        return f"{grid.tick_ns(tick) / 1e9:.3f} s"
+
+    for name, spans in (("did not run", ticks.idle), ("was off the bus", ticks.off_bus)):
+        notes += [f"the control unit {name} from {when(a)} to {when(b)}" for a, b in spans[:5]]
+        if len(spans) > 5:
+            notes.append(f"the control unit {name} {len(spans) - 5} times more")
+    if gaps := len(ticks.restarts):
+        notes.append(f"gaps in the recording: {gaps}; the replay restarted after each")
+    if outcome.plant is not None and (not grid.fresh or not outcome.settings.own_run):
+        state = f"at rest, vented and in {outcome.settings.loaded.scenario.initial_gear}"
+        notes.append(f"the plant starts {state}: the log holds no other state")
+    last_ns = frames.last_ns or 0
+    if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
+        last = f"the control unit's last frame is at {when(ticks.last)}"
+        notes.append(f"{last}; later frames are not compared")
+    if outcome.unanswered:
+        missing = ", ".join(f"{n} {name}" for name, n in sorted(outcome.unanswered.items()))
+        notes.append(f"replayed but not in the recording, not compared: {missing}")
+    if outcome.comparison.warm_up_ticks:
+        notes.append(
+            f"{counted(outcome.comparison.warm_up_ticks, 'tick')} left out at the beginning, until the control unit "
+            f"that starts now agreed with the one that was at work, its position to {FORGOTTEN_M:g} m"
+        )
+    for kind, count in outcome.comparison.damaged.items():
+        notes.append(f"{count} {kind.__name__} with values outside the contract, not compared")
+    if len(log.channels) > 1 or log.channel is not None:
+        notes.append(f"channel {log.channel or '(unnamed)'}")
+    if log.skew[1]:
+        notes.append(
+            f"the recorder's clock runs {1e6 * log.skew[1]:+.1f} ppm against the control unit's; times here "
+            "are by the control unit's, from the log's first frame on"
+        )
+    if frames.reordered:
+        notes.append(
+            f"{counted(frames.reordered, 'frame')} out of order, taken as of the latest time before"
+        )
+    if left_out := outcome.read.lockstep_line():
+        notes.append(f"log: {left_out}")
+    if not outcome.read.clean:
+        notes += [f"log: {line}" for line in outcome.read.lines()[1:]]
+    return notes

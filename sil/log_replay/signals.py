@@ -1,0 +1,135 @@
+"""What is compared: every field of every message of one side, with tolerances and an ignore list."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from enum import IntEnum, IntFlag
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import msgspec
+from msgspec import Meta
+
+from can_dbc import typed_toml
+from can_dbc.codec import decode
+from can_dbc.errors import CodecError, InputError, unknown_name
+from can_dbc.frame import Frame
+from sil.log_replay.recorded_frames import ID_OF, KINDS, bare
+
+NAMES: Final[dict[type, tuple[str, ...]]] = {
+    kind: tuple(f"{kind.__name__}.{field.name}" for field in fields(kind)) for kind in KINDS
+}
+"""Names of the signals of a message, in the order of `values`."""
+
+ALL_NAMES: Final = tuple(name for names in NAMES.values() for name in names)
+
+
+class Edges(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """window_s: an edge that moved farther than this is another edge."""
+
+    window_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.2
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What counts as a difference.
+
+    ignore: signals, or patterns of them ("Etc1.*"), that are not compared. tolerance: largest
+    difference of a signal, in its SI unit, that is none. time_s: a value is as recorded when it is
+    so within this time, and an edge that moved by no more has not moved.
+    """
+
+    ignore: list[str] = []
+    tolerance: dict[str, Annotated[float, Meta(ge=0.0)]] = {}
+    time_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    edges: Edges = Edges()
+
+    @property
+    def time_ns(self) -> int:
+        """`time_s` in ns."""
+        return round(self.time_s * 1e9)
+
+    @property
+    def window_ns(self) -> int:
+        """`edges.window_s` in ns."""
+        return round(self.edges.window_s * 1e9)
+
+
+def load_options(path: str | Path) -> Options:
+    """Read the options from a TOML file.
+
+    Raises InputError for what is no option, and for signals that do not exist.
+    Checked by: tests/unit/sil/log_replay/test_signals.py
+    """
+    options = typed_toml.convert(typed_toml.read_toml(path), Options, str(path))
+    for key, names in (("ignore", options.ignore), ("tolerance", options.tolerance)):
+        for name in names:
+            patterns = key == "ignore"
+            if not (
+                name in ALL_NAMES or (patterns and any(fnmatchcase(n, name) for n in ALL_NAMES))
+            ):
+                shown = typed_toml.one_line(name, 60)
+                raise InputError(f"{path}: {key}: {shown}: {unknown_name(name, ALL_NAMES)}")
+    return options
+
+
+class SignalComparer:
+    """Find the signals whose values differ under the options."""
+
+    def __init__(self, options: Options) -> None:
+        self._compared: dict[type, tuple[tuple[int, str, float], ...]] = {
+            kind: tuple(
+                (index, name, options.tolerance.get(name, 0.0))
+                for index, name in enumerate(names)
+                if not any(fnmatchcase(name, pattern) for pattern in options.ignore)
+            )
+            for kind, names in NAMES.items()
+        }
+
+    def differing(
+        self, kind: type, ours: tuple[Any, ...], theirs: tuple[Any, ...]
+    ) -> list[tuple[int, str]]:
+        """Return (index, name) of the signals that differ."""
+        return [
+            (index, name)
+            for index, name, tolerance in self._compared[kind]
+            if not same(ours[index], theirs[index], tolerance)
+        ]
+
+
+def same(ours: Any, theirs: Any, tolerance: float) -> bool:
+    """Whether two values are the same, numbers within a tolerance."""
+    if ours == theirs:
+        return True
+    if not tolerance or not isinstance(ours, float) or not isinstance(theirs, float):
+        return False
+    # the values lie on the grid of the DBC: a step of exactly the tolerance is within it
+    return abs(ours - theirs) <= tolerance * (1.0 + 1e-9)
+
+
+@lru_cache(maxsize=65536)
+def _decoded(kind: type, data: bytes) -> tuple[Any, ...] | None:
+    try:
+        message = decode(Frame(ID_OF[kind], data))
+    except CodecError:
+        return None
+    return tuple(getattr(message, field.name) for field in fields(kind))
+
+
+def values(kind: type, data: bytes) -> tuple[Any, ...] | None:
+    """Return the values of a message in SI units; None when they are not those of the contract."""
+    return _decoded(kind, bare(kind, data))
+
+
+def value_text(value: Any) -> str:
+    """Return a value as a reader wants it."""
+    if value is None:
+        return "not available"
+    if isinstance(value, IntFlag):
+        return "|".join(flag.name or "?" for flag in type(value) if flag in value) or "NONE"
+    if isinstance(value, IntEnum):
+        return value.name
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,283 @@
+"""A truck's log: its shifts, and the signals around each, as the mapping names them.
+
+Checked by: tests/unit/sil/log_replay/test_truck_log.py
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import pi
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc.errors import InputError
+from can_dbc.frame import join_id
+from sil.coupling.clock import NS_PER_S
+from sil.files.quantity import counted
+from sil.j1939.mapping import Meaning, Sender, SignalMapping
+from sil.logs import LogFrame, LogReport
+from sil.report.figure import Floats
+from sil.shifts.cutter import Shift, ShiftFinder
+from sil.shifts.reported import PGN_ETC1, PGN_ETC2
+
+SHAFT_SPEEDS: Final[tuple[Meaning, ...]] = ("input_shaft_rad_s", "output_shaft_rad_s")
+GEARS: Final[tuple[Meaning, ...]] = ("current_gear", "selected_gear")
+_FLAG_AND_SPEEDS: Final[tuple[Meaning, ...]] = ("shift_in_process", *SHAFT_SPEEDS)
+_ETC_NOT_AVAILABLE: Final = 0xFFFF
+_Taker = Callable[[LogFrame], None]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Valid values of one signal. time_s, values: [n] each; times from the origin asked for."""
+
+    time_s: Floats
+    values: Floats
+    origin: str
+
+    def within(self, begin_s: float, end_s: float) -> Samples:
+        """Return the samples of a time: arrays [m], s and the signal's unit."""
+        inside = (self.time_s >= begin_s) & (self.time_s <= end_s)
+        return Samples(self.time_s[inside], self.values[inside], self.origin)
+
+    def median(self, begin_s: float, end_s: float) -> float | None:
+        """Return the median of the values from begin to end, None without any."""
+        found = self.within(begin_s, end_s).values
+        return float(np.median(found)) if len(found) else None
+
+    @property
+    def period_s(self) -> float:
+        """Median distance of two samples; 0 for fewer than two."""
+        return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0
+
+
+@dataclass
+class _Series:
+    """All frames of one sender's message, each with as many bytes as the DBC states."""
+
+    times_ns: array[int] = field(default_factory=lambda: array("q"))
+    content: bytearray = field(default_factory=bytearray)
+
+
+def is_data_of(frame: LogFrame, can_id: int | None) -> bool:
+    """Return whether a frame is a data frame with a 29-bit identifier."""
+    return frame.can_id == can_id and frame.extended and not (frame.remote or frame.error)
+
+
+class TruckLog:
+    """The shifts of a log, and the frames of all mapped messages."""
+
+    def __init__(self, path: str, mapping: SignalMapping) -> None:
+        self.path = path
+        self.mapping = mapping
+        self.frames = 0
+        self.shifts: list[Shift] = []
+        self.notes: list[str] = []
+        self.report: LogReport | None = None
+        self._series: dict[Sender, _Series] = {}
+        self._known: dict[tuple[str, int], dict[Meaning, float]] = {}
+        self._short = 0
+        self._times: dict[Sender, NDArray[np.int64]] = {}
+        self._pieces: dict[Sender, NDArray[np.int64]] = {}
+
+    def read(self, frames: Iterable[LogFrame], stop_id: int | None = None) -> bool:
+        """Read all frames; return False at a frame with the identifier `stop_id`, not having read on."""
+        finder = ShiftFinder()
+        takers: dict[tuple[str, int, bool], list[_Taker]] = {}
+        for frame in frames:
+            self.frames += 1
+            if frame[4] or frame[5]:  # remote or error
+                continue
+            key = frame[9], frame[1], frame[3]
+            of_frame = takers.get(key)
+            if of_frame is None:
+                if is_data_of(frame, stop_id):
+                    return False
+                of_frame = self._takers(finder, *key)
+                if len(takers) < 20_000:
+                    takers[key] = of_frame
+            for take in of_frame:
+                take(frame)
+        self._finish(finder)
+        return True
+
+    def _takers(
+        self, finder: ShiftFinder, channel: str, can_id: int, extended: bool
+    ) -> list[_Taker]:
+        """Return what takes the data frames of an identifier."""
+        found: list[_Taker | None] = []
+        if self.mapping.is_standard and extended:
+            found.append(finder.follow(channel, can_id))
+        sender = self.mapping.sender(channel, can_id, extended)
+        if sender is not None:
+            length = self.mapping.length(sender.message)
+            series = self._series.setdefault(sender, _Series())
+            translate = None if self.mapping.is_standard else self._translator(sender, finder)
+
+            def take(frame: LogFrame) -> None:
+                if len(frame.data) < length:
+                    self._short += 1
+                    return
+                series.times_ns.append(frame.time_ns)
+                series.content += frame.data[:length]
+                if translate is not None:
+                    translate(frame)
+
+            found.append(take)
+        return [take for take in found if take is not None]
+
+    def _translator(self, sender: Sender, finder: ShiftFinder) -> _Taker:
+        """Return what passes frames of another layout to the finder, as ETC1 and ETC2.
+
+        What a frame does not carry has the sender's latest value.
+        """
+        rows = self.mapping.rows
+        known = self._known.setdefault((sender.channel, sender.source), {})
+        carried = {row.meaning for row in rows if row.message == sender.message}
+        followed: list[tuple[_Taker, int, Callable[[dict[Meaning, float]], bytes]]] = []
+        for meanings, pgn, encode in (
+            (_FLAG_AND_SPEEDS, PGN_ETC1, _etc1),
+            (GEARS, PGN_ETC2, _etc2),
+        ):
+            can_id = join_id(6, pgn, sender.source)
+            take = finder.follow(sender.channel, can_id) if carried.intersection(meanings) else None
+            if take is not None:
+                followed.append((take, can_id, encode))
+
+        def translate(frame: LogFrame) -> None:
+            for meaning in carried:
+                known.pop(meaning, None)
+            for index, value in self.mapping.values(sender, frame.data).items():
+                known.setdefault(rows[index].meaning, value)
+            for take, can_id, encode in followed:
+                take(LogFrame(frame.time_ns, can_id, encode(known), channel=frame.channel))
+
+        return translate
+
+    def _finish(self, finder: ShiftFinder) -> None:
+        self.shifts = finder.finish()
+        self.notes = list(finder.notes)
+        if finder.unfinished:
+            self.notes.append(
+                f"{counted(finder.unfinished, 'shift')} without beginning or end in the log"
+            )
+        if self._short and not self.mapping.is_standard:
+            self.notes.append(
+                f"{counted(self._short, 'frame')} shorter than the DBC states, left out"
+            )
+        if finder.unflagged:
+            count = len(finder.unflagged)
+            self.notes.append(
+                f"{counted(count, 'change')} of gear outside of flagged shifts, not compared"
+            )
+        self._series = {
+            sender: series for sender, series in self._series.items() if series.times_ns
+        }
+        self._times = {
+            sender: np.array(series.times_ns, dtype=np.int64)
+            for sender, series in self._series.items()
+        }
+        self._pieces = {
+            sender: np.flatnonzero(np.diff(times, prepend=times[0]) < 0)
+            for sender, times in self._times.items()
+        }
+
+    def require_shifts(self) -> None:
+        """Raise InputError in one line if shaft speeds, gears or shifts are missing."""
+        held = {sender.message for sender in self._series}
+        missing = [
+            " or ".join(f"{name} ({self.mapping.identifier(name)})" for name in names)
+            or f"signal for {' and '.join(meanings)} in {self.mapping.path}"
+            for meanings in (SHAFT_SPEEDS, GEARS)
+            for names in (self.mapping.messages_of(*meanings),)
+            if not held.intersection(names)
+        ]
+        if missing:
+            raise InputError(
+                f"{self.path}: no ValveCommand of our control unit, and no {', no '.join(missing)} among "
+                f"{counted(self.frames, 'frame')}; expected both of a truck's transmission, or --map FILE"
+            )
+        if not self.shifts:
+            raise InputError(
+                f"{self.path}: no gear shift among {counted(self.frames, 'frame')}"
+                f"{''.join(f'; {note}' for note in self.notes)}; expected a log of a drive"
+            )
+
+    def samples(
+        self, meaning: Meaning, shift: Shift, begin_ns: int, end_ns: int, origin_ns: int
+    ) -> Samples | None:
+        """Return the valid values of a meaning from begin to end, times from `origin_ns`.
+
+        Of the mapping's rows for the meaning, the first that has any; of several senders, that of
+        the shift, else the lowest address on its channel, else on another.
+        """
+        for index, row in enumerate(self.mapping.rows):
+            if row.meaning != meaning:
+                continue
+            senders = [s for s in self._series if s.message == row.message]
+            for sender in sorted(
+                senders, key=lambda s: (s.channel != shift.channel, s.source != shift.source, s)
+            ):
+                found = [
+                    ((time_ns - origin_ns) / NS_PER_S, values[index])
+                    for time_ns, content in self._window(sender, begin_ns, end_ns)
+                    if index in (values := self.mapping.values(sender, content))
+                ]
+                if found:
+                    time_s, values_found = np.array(sorted(found)).T
+                    where = f"{row.message}.{row.signal} of {sender.source:#04x}"
+                    return Samples(time_s, values_found, where)
+        return None
+
+    def gap_s(self, shift: Shift, begin_ns: int, end_ns: int) -> float:
+        """Return the longest time from begin to end without a frame of what shows the shift."""
+        names = self.mapping.messages_of(*_FLAG_AND_SPEEDS, *GEARS)
+        times: set[int] = {begin_ns, end_ns}
+        for sender in self._series:
+            own = (sender.channel, sender.source) == (shift.channel, shift.source)
+            if own and sender.message in names:
+                times.update(time_ns for time_ns, _ in self._window(sender, begin_ns, end_ns))
+        ordered = sorted(times)
+        return max(b - a for a, b in pairwise(ordered)) / NS_PER_S
+
+    def _window(self, sender: Sender, begin_ns: int, end_ns: int) -> list[tuple[int, bytes]]:
+        series, times = self._series[sender], self._times[sender]
+        length = self.mapping.length(sender.message)
+        ends = [0, *self._pieces[sender].tolist(), len(times)]  # at steps of the clock backwards
+        inside = max(
+            (
+                range(*(begin + np.searchsorted(times[begin:end], (begin_ns, end_ns + 1))).tolist())
+                for begin, end in pairwise(ends)
+            ),
+            key=len,
+        )
+        return [
+            (series.times_ns[i], bytes(series.content[i * length : (i + 1) * length]))
+            for i in inside
+        ]
+
+
+def _etc1(known: dict[Meaning, float]) -> bytes:
+    flag = known.get("shift_in_process")
+    state = int(flag) if flag in (0.0, 1.0) else 3
+    output, entry = (_word(known.get(name)) for name in ("output_shaft_rad_s", "input_shaft_rad_s"))
+    return bytes((0xCF | state << 4, *output, 0xFF, 0xFF, *entry, 0xFF))
+
+
+def _word(speed_rad_s: float | None) -> Sequence[int]:
+    raw = _ETC_NOT_AVAILABLE if speed_rad_s is None else round(speed_rad_s / (0.125 * pi / 30.0))
+    return (raw if 0 <= raw <= 0xFAFF else _ETC_NOT_AVAILABLE).to_bytes(2, "little")
+
+
+def _etc2(known: dict[Meaning, float]) -> bytes:
+    selected, current = (_gear(known.get(name)) for name in ("selected_gear", "current_gear"))
+    return bytes((selected, 0xFF, 0xFF, current, 0xFF, 0xFF, 0xFF, 0xFF))
+
+
+def _gear(gear: float | None) -> int:
+    return round(gear) + 125 if gear is not None and -125 <= round(gear) <= 126 else 0xFF

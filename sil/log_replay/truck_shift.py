@@ -1,0 +1,305 @@
+"""A recorded shift of a truck: its phases, and the speeds and torque that caused them.
+
+Assumptions: equal speeds at the synchronizer are the speed ratio of the gear after the shift; the
+reported gear is late by up to the period of its message.
+Checked by: tests/unit/sil/log_replay/test_truck_shift.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, get_args
+
+import numpy as np
+
+from sil.j1939.mapping import Gearbox, Meaning
+from sil.log_replay.truck_log import Samples, TruckLog
+from sil.report.figure import Floats
+from sil.shifts.cutter import Shift
+
+NAMES: Final = {
+    "torque_cut": "torque cut",
+    "disengaged": "gear left",
+    "synchronised": "speeds agree",
+    "engaged": "new gear reported",
+    "torque_back": "torque back",
+}
+"""Instants of a shift after its request, in order, with their names in words."""
+
+PHASES: Final = tuple(NAMES)
+
+BEFORE_S, AFTER_S = 1.5, 1.5
+"""Recorded time around a shift that is looked at."""
+
+RATIO_BEFORE_S, RATIO_AFTER_S = (0.6, 0.05), (0.1, 0.7)
+"""Speed ratios are medians from so long to so long before the start and after the end."""
+
+POSSIBLE_RATIOS: Final = (0.2, 40.0)
+"""Speed ratios outside are of a truck's neutral, clutch or sensor, not of a gear."""
+
+SLOWEST_RAD_S: Final = 2.1
+"""Output speed (20 rpm) below which a ratio means nothing."""
+
+LEAST_TORQUE: Final = 0.1
+"""A change of the engine's torque by less than this share of the reference torque is none."""
+
+SYNCHRONISED_RAD_S: Final = 2.0
+LONGEST_GAP_S: Final = 0.35
+"""A longer time without the transmission's frames is a gap: ETC2 comes every 0.1 s."""
+
+
+@dataclass(frozen=True)
+class Synchronisation:
+    """The recorded speeds at the synchronizer, on the main shaft, of the gear after the shift.
+
+    difference_rad_s: [n] main_by_output (input/new_ratio - output) at time_s [n], after the request.
+    main_rad_s: speed of the main shaft. step_rad_s: the difference in the gear before. delay_s,
+    ramp_rad_s2: the straight fall from step to zero, from 90 to 10 % of the step; the delay counts
+    from the disengagement. apart_rad_s: the largest distance of the recorded difference from it.
+    """
+
+    time_s: Floats
+    difference_rad_s: Floats
+    main_rad_s: float
+    step_rad_s: float
+    main_by_output: float
+    old_ratio: float
+    new_ratio: float
+    delay_s: float | None = None
+    ramp_rad_s2: float | None = None
+    apart_rad_s: float | None = None
+
+
+@dataclass
+class RecordedShift:
+    """A shift as the log shows it; times in s after the request, None where not known.
+
+    known_s: uncertainty of an instant, the period of its message. is_whole: no gap of the recording
+    or of a sender inside.
+    """
+
+    shift: Shift
+    request_ns: int
+    end_s: float
+    signals: Mapping[Meaning, Samples | None]
+    times_s: dict[str, float | None]
+    known_s: dict[str, float]
+    synchronisation: Synchronisation | None
+    is_whole: bool
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def peak_rad_s2(self) -> float | None:
+        """Greatest change of the difference per time while the speeds are synchronised."""
+        sync, begin = self.synchronisation, self.times_s["disengaged"]
+        if sync is None or begin is None or self.times_s["synchronised"] is None:
+            return None
+        end = self.times_s["synchronised"] + 0.1
+        return peak_rate(sync.time_s, sync.difference_rad_s, begin, end)
+
+
+def peak_rate(time_s: Floats, values: Floats, begin_s: float, end_s: float) -> float | None:
+    """Return the greatest rate of values [n] at time_s [n], over 40 ms or one sample, per second."""
+    inside = (time_s >= begin_s) & (time_s <= end_s)
+    t, y = time_s[inside], values[inside]
+    if len(t) < 2:
+        return None
+    step = max(1, round(0.04 / float(np.median(np.diff(t)))))
+    if len(t) <= step:
+        return None
+    return float(np.max(np.abs(y[step:] - y[:-step]) / (t[step:] - t[:-step])))
+
+
+def recorded_shift(log: TruckLog, shift: Shift) -> RecordedShift:
+    """Return the phases of a shift of the log. Checked by test_truck_shift."""
+    before_ns, after_ns = round(BEFORE_S * 1e9), round(AFTER_S * 1e9)
+    begin_ns, end_ns = shift.start_ns - before_ns, shift.end_ns + after_ns
+
+    def samples(meaning: Meaning, origin_ns: int) -> Samples | None:
+        return log.samples(meaning, shift, begin_ns, end_ns, origin_ns)
+
+    selected = samples("selected_gear", shift.start_ns)
+    request_ns, notes = shift.start_ns, []
+    if selected is not None and shift.to_gear is not None:
+        early_s = _selected_before(selected, shift.to_gear)
+        request_ns += round(1e9 * early_s)
+        if early_s:
+            notes.append("request: when the selected gear changed, before the shift in process")
+    if request_ns == shift.start_ns:
+        notes.append("request: the start of the shift in process, no earlier sign of it recorded")
+    signals = {meaning: samples(meaning, request_ns) for meaning in get_args(Meaning)}
+    gap_s = log.gap_s(shift, shift.start_ns - round(0.1e9), shift.end_ns + round(0.1e9))
+    if gap_s > LONGEST_GAP_S:
+        notes.append(f"{gap_s:.2f} s without frames of the transmission inside: not in the figures")
+    end_s = (shift.end_ns - request_ns) / 1e9
+    times: dict[str, float | None] = dict.fromkeys(PHASES)
+    recorded = RecordedShift(
+        shift, request_ns, end_s, signals, times, {}, None, gap_s <= LONGEST_GAP_S, notes
+    )
+    start_s = (shift.start_ns - request_ns) / 1e9
+    _speeds(recorded, start_s, log.mapping.gearbox)
+    _reported_gears(recorded)
+    _fit_ramp(recorded)
+    _torque(recorded)
+    return recorded
+
+
+def _selected_before(selected: Samples, gear: int) -> float:
+    """Return how long before the start, as a time <= 0, the gear was selected; 0 if it was not."""
+    is_it = np.round(selected.values) == gear
+    others = np.flatnonzero(~is_it & (selected.time_s <= 0.0))
+    first = others[-1] + 1 if len(others) else len(is_it)
+    if first < len(is_it) and is_it[first] and selected.time_s[first] < 0.0:
+        return float(selected.time_s[first])
+    return 0.0
+
+
+def _set(recorded: RecordedShift, phase: str, times: Floats, index: int) -> None:
+    """Set an instant to that of a sample, unless its sender was silent before it."""
+    before = max(index, 1)
+    spacing_s = float(times[before] - times[before - 1]) if len(times) > 1 else np.inf
+    if spacing_s > LONGEST_GAP_S:
+        recorded.notes.append(
+            f"{NAMES[phase]}: not known, its sender was silent for {spacing_s:.2f} s"
+        )
+        recorded.times_s[phase] = None
+        return
+    recorded.times_s[phase], recorded.known_s[phase] = float(times[index]), spacing_s
+
+
+def _speeds(recorded: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
+    """Fill in disengagement and synchronisation from the shaft speeds."""
+    entry, output = recorded.signals["input_shaft_rad_s"], recorded.signals["output_shaft_rad_s"]
+    if entry is None or output is None:
+        recorded.notes.append("shaft speeds not available: synchronisation not known")
+        return
+    time = entry.time_s
+    w_in, w_out = entry.values, np.interp(time, output.time_s, output.values)
+    moving = w_out > SLOWEST_RAD_S
+    ratios = w_in[moving] / w_out[moving]
+    possible = (ratios > POSSIBLE_RATIOS[0]) & (ratios < POSSIBLE_RATIOS[1])
+    ratio = Samples(time[moving][possible], ratios[possible], "")
+    old = ratio.median(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
+    new = ratio.median(recorded.end_s + RATIO_AFTER_S[0], recorded.end_s + RATIO_AFTER_S[1])
+    during = Samples(time, w_out, "").median(start_s, recorded.end_s)
+    from_gear, to_gear = bool(recorded.shift.from_gear), bool(recorded.shift.to_gear)
+    slow = during is None or during < SLOWEST_RAD_S
+    if new is None or during is None or slow or (old is None and from_gear) or not to_gear:
+        if to_gear:
+            recorded.notes.append("speed ratios not known: the vehicle too slow, or no speeds")
+        return
+    old = old or new
+    if abs(old / new - 1.0) < 0.03 and from_gear:
+        recorded.notes.append(
+            f"speed ratio {old:.2f} before, {new:.2f} after: nothing to synchronise"
+        )
+        return
+    factor = gearbox.main_shaft_by_output(new)
+    difference = factor * (w_in / new - w_out)
+    step = factor * during * (old / new - 1.0)
+    sync = Synchronisation(time, difference, factor * during, step, factor, old, new)
+    recorded.synchronisation = sync
+    if not from_gear:
+        before = Samples(time, difference, "")
+    else:
+        before = Samples(time, factor * (w_in - old * w_out) / new, "")
+    inside = (time >= start_s) & (time <= recorded.end_s + RATIO_AFTER_S[0])
+    t, d = time[inside], difference[inside]
+    if len(t) > 1 and np.max(np.diff(t)) > LONGEST_GAP_S:
+        recorded.notes.append(
+            "shaft speeds missing for a while during the shift: not in the figures"
+        )
+        recorded.is_whole = False
+    settled = Samples(time, difference, "").within(
+        recorded.end_s + RATIO_AFTER_S[0], recorded.end_s + RATIO_AFTER_S[1]
+    )
+    away = np.flatnonzero(np.abs(d) > max(SYNCHRONISED_RAD_S, _scatter(settled)))
+    if len(away) == len(d) or (len(away) and away[-1] + 1 >= len(t)):
+        recorded.notes.append("the speeds never agree within the shift")
+        return
+    _set(recorded, "synchronised", t, int(away[-1]) + 1 if len(away) else 0)
+    if not from_gear:
+        return
+    steady = before.within(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
+    band = max(0.01 * abs(factor * during), _scatter(steady))
+    left = np.flatnonzero(np.abs(before.values[inside]) > band)
+    if len(left):
+        _set(recorded, "disengaged", t, int(left[0]))
+
+
+def _scatter(steady: Samples) -> float:
+    """Return six times the median deviation from the median: what noise hardly exceeds."""
+    if not len(steady.values):
+        return 0.0
+    return 6.0 * float(np.median(np.abs(steady.values - np.median(steady.values))))
+
+
+def _fit_ramp(recorded: RecordedShift) -> None:
+    """Fit the straight fall of the difference between disengagement and synchronisation."""
+    sync, begin = recorded.synchronisation, recorded.times_s["disengaged"]
+    if sync is None or begin is None or recorded.times_s["synchronised"] is None:
+        return
+    inside = (sync.time_s >= begin) & (sync.time_s <= recorded.end_s + RATIO_AFTER_S[0])
+    t, share = sync.time_s[inside], sync.difference_rad_s[inside] / sync.step_rad_s
+    high, low = np.flatnonzero(share <= 0.9), np.flatnonzero(share <= 0.1)
+    if not (len(high) and len(low)):
+        return
+    taken_s = max(float(t[low[0]] - t[high[0]]), 0.01)  # at least a period of ETC1
+    ramp = 0.8 * abs(sync.step_rad_s) / taken_s
+    delay_s = max(0.0, float(t[high[0]]) - begin - 0.1 * abs(sync.step_rad_s) / ramp)
+    fallen = np.clip(1.0 - (t - begin - delay_s) * ramp / abs(sync.step_rad_s), 0.0, 1.0)
+    apart = float(np.max(np.abs(share - fallen)) * abs(sync.step_rad_s))
+    recorded.synchronisation = replace(sync, delay_s=delay_s, ramp_rad_s2=ramp, apart_rad_s=apart)
+
+
+def _reported_gears(recorded: RecordedShift) -> None:
+    """Fill in what the reported gear shows: neutral before the speeds do, the new one after them."""
+    gears, target = recorded.signals["current_gear"], recorded.shift.to_gear
+    times, synchronised = recorded.times_s, recorded.times_s["synchronised"]
+    if gears is not None and len(gears.values) > 1:
+        later = gears.time_s >= 0.0
+        neutral = np.flatnonzero((np.round(gears.values) == 0) & later)
+        left_s = recorded.end_s if times["disengaged"] is None else times["disengaged"]
+        if recorded.shift.from_gear and len(neutral) and gears.time_s[neutral[0]] <= left_s:
+            _set(recorded, "disengaged", gears.time_s, int(neutral[0]))
+        reported = np.flatnonzero((np.round(gears.values) == target) & later)
+        if len(reported):
+            _set(recorded, "engaged", gears.time_s, int(reported[0]))
+    if synchronised is None:
+        return
+    if times["engaged"] is None or times["engaged"] < synchronised:
+        times["engaged"] = synchronised
+        recorded.known_s["engaged"] = recorded.known_s["synchronised"]
+        recorded.notes.append(
+            "engaged: when the speeds agreed for good, the gear was not reported later"
+        )
+
+
+def _torque(recorded: RecordedShift) -> None:
+    """Fill in the cut of the engine's torque, and when it is back."""
+    torque, times = recorded.signals["engine_torque_share"], recorded.times_s
+    if torque is None:
+        recorded.notes.append("engine torque not available: torque cut and return not known")
+        return
+    before = torque.median(-0.5, 0.0)
+    until = times["disengaged"] if times["disengaged"] is not None else recorded.end_s
+    during = torque.within(0.0, until + torque.period_s)
+    if before is not None and len(during.values) > 1:
+        least = float(np.min(during.values))
+        if before - least >= LEAST_TORQUE:
+            cut = during.values <= least + 0.1 * (before - least)
+            _set(recorded, "torque_cut", during.time_s, int(np.argmax(cut)))
+        else:
+            recorded.notes.append(
+                f"engine torque hardly changes ({before:.0%} before): no cut to see"
+            )
+    engaged = times["engaged"]
+    after = torque.median(recorded.end_s + 0.5, recorded.end_s + 1.0)
+    if engaged is None or after is None:
+        return
+    later = torque.within(engaged, recorded.end_s + AFTER_S)
+    if len(later.values) > 1 and after - later.values[0] >= LEAST_TORQUE:
+        back = later.values >= later.values[0] + 0.9 * (after - later.values[0])
+        if back.any():
+            _set(recorded, "torque_back", later.time_s, int(np.argmax(back)))
