@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sil.files.quantity import quantity
+from sil.inference.thresholds import UNNAMED
 
 
 @dataclass(frozen=True)

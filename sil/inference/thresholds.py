@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from plant.effects.term import term
+
+UNNAMED = term.id
+"""The cause of a non-parametric term, and the verdict that one acts."""
+
 
 @dataclass(frozen=True)
 class Thresholds:

@@ -24,17 +24,13 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from plant.effects.term import term
 from plant.errors import IntegrationError
 from sil.inference.candidate import Candidate
 from sil.inference.evidence import Misfit, misfit
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.problem import Floats
-from sil.inference.thresholds import LIMITS, Thresholds
+from sil.inference.thresholds import LIMITS, UNNAMED, Thresholds
 from sil.inference.workers import fitted
-
-UNNAMED = term.id
-"""The cause of a non-parametric term, and the verdict that one acts."""
 
 
 class Explanation(Protocol):

@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 
 from sil.files.quantity import counted
-from sil.inference.thresholds import LIMITS
-from sil.inference.verdict import UNNAMED
+from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.shift_diagnosis.fit import Fit
 from sil.shift_diagnosis.linear import (
     SIZE_PRIOR,

@@ -13,8 +13,8 @@ import numpy as np
 from sil.inference.force.fit import SURE, Bank, Group, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import CONDITIONS
-from sil.inference.thresholds import LIMITS
-from sil.inference.verdict import UNNAMED, Verdict, decide, weigh
+from sil.inference.thresholds import LIMITS, UNNAMED
+from sil.inference.verdict import Verdict, decide, weigh
 
 ALIKE = 2.0
 """A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""

@@ -29,8 +29,8 @@ from sil.inference.force.terms import (
     hats,
     named_terms,
 )
-from sil.inference.thresholds import LIMITS
-from sil.inference.verdict import UNNAMED, Explanation
+from sil.inference.thresholds import LIMITS, UNNAMED
+from sil.inference.verdict import Explanation
 
 VISCOUS = "viscous_n_s_m"
 BODY = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}

@@ -15,8 +15,8 @@ from sil.inference.campaign.residuals import Gain
 from sil.inference.force.fit import BODY, POSITIVE, SURE, Bank, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.report import Cause, Interval, diagnosis_json
-from sil.inference.thresholds import LIMITS
-from sil.inference.verdict import UNNAMED, Conclusion, Verdict, by_cause, kind_of
+from sil.inference.thresholds import LIMITS, UNNAMED
+from sil.inference.verdict import Conclusion, Verdict, by_cause, kind_of
 
 ROBUST = 0.9
 """Most that a cause is given next to a residual; descriptions of the residual must leave it as it is."""

@@ -29,7 +29,7 @@ from sil.inference.force.gas import enclosed_gas
 from sil.inference.force.record import Recorded, read_motion
 from sil.inference.force.result import DESCRIBED, ForceDiagnosis
 from sil.inference.force.terms import difference
-from sil.inference.verdict import UNNAMED
+from sil.inference.thresholds import UNNAMED
 
 LEAST_SHARE = 0.5
 """Causes next to a residual explain at least this share of the plain body's misfit."""

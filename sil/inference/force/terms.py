@@ -15,7 +15,7 @@ import numpy as np
 
 from plant.effects import CATALOGUE
 from plant.effects.force_term import Floats, ForceTerm, Motion
-from sil.inference.verdict import UNNAMED
+from sil.inference.thresholds import UNNAMED
 
 NODES = 8
 
