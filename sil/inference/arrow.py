@@ -43,16 +43,16 @@ def arrow(
         r, a, b, aa, hus, bb = _weighted(block, weight)
         if on is None:
             gs: Floats = b.T @ r - spread[k]
-            held = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
+            at_bound = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
         else:
-            held = np.zeros(b.shape[1], dtype=bool)
+            at_bound = np.zeros(b.shape[1], dtype=bool)
             if k in on:
-                held, moved = on[k]
-                r = r - b @ np.where(held, moved, 0.0)
+                at_bound, moved = on[k]
+                r = r - b @ np.where(at_bound, moved, 0.0)
             gs = b.T @ r - spread[k]
-        if held.any():
-            hus, bb = np.where(held, 0.0, hus), np.where(held | held[:, None], 0.0, bb)
-            gs = np.where(held, 0.0, gs)
+        if at_bound.any():
+            hus, bb = np.where(at_bound, 0.0, hus), np.where(at_bound | at_bound[:, None], 0.0, bb)
+            gs = np.where(at_bound, 0.0, gs)
         inverse = np.asarray(np.linalg.inv(bb + np.eye(b.shape[1])), dtype=np.float64)
         normal += aa - hus @ inverse @ hus.T
         gradient += a.T @ r - hus @ (inverse @ gs)

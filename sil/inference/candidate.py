@@ -43,11 +43,11 @@ class Candidate:
     prior: float = 1.0
 
     def __post_init__(self) -> None:
-        KNOWN[self.name] = self
+        _BY_NAME[self.name] = self
 
     def __reduce__(self) -> tuple[Callable[[str], Candidate], tuple[str]]:
         """Between processes a candidate travels by name: the forked ones inherit them all."""
-        return _known, (self.name,)
+        return _named, (self.name,)
 
     @property
     def id(self) -> str:
@@ -125,12 +125,12 @@ def precision(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
     return out
 
 
-KNOWN: dict[str, Candidate] = {}
+_BY_NAME: dict[str, Candidate] = {}
 """Every candidate made in this process, by name."""
 
 
-def _known(name: str) -> Candidate:
-    return KNOWN[name]
+def _named(name: str) -> Candidate:
+    return _BY_NAME[name]
 
 
 def compatible(candidate: Candidate, others: Sequence[Candidate]) -> bool:
@@ -147,20 +147,20 @@ def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
     """Points to start a search from: the main parameter at several sizes, the others at rest."""
     main = parameters[0]
     rest = tuple(item.neutral for item in parameters[1:])
-    found = []
+    starts = []
     for sign in (1.0, -1.0) if main.sign == 0 else (float(main.sign),):
         for size in (0.15, 0.5, 1.5, 4.0):
             value = main.neutral + sign * size * main.typical
             if main.sign == -1 and main.neutral == 1.0:
                 value = 1.0 / (1.0 + size * main.typical)
             if main.low < value < main.high:
-                found.append((value, *rest))
-    return tuple(found)
+                starts.append((value, *rest))
+    return tuple(starts)
 
 
 def candidates(has: Collection[Need]) -> list[Candidate]:
     """Return all candidates that strokes which have this can show at all."""
-    found: list[Candidate] = []
+    usable: list[Candidate] = []
     compile_terms()
     for effect in CATALOGUE.values():
         if effect.nonparametric:
@@ -169,7 +169,7 @@ def candidates(has: Collection[Need]) -> list[Candidate]:
         for variant in effect.variants:
             if set(has) >= {*effect.needs, *variant.needs}:
                 free = tuple(p for p in fitted if p.name not in variant.fixed)
-                found.append(
+                usable.append(
                     Candidate(
                         effect,
                         variant.name,
@@ -180,4 +180,4 @@ def candidates(has: Collection[Need]) -> list[Candidate]:
                         prior=variant.prior,
                     )
                 )
-    return found
+    return usable

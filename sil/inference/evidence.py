@@ -76,11 +76,11 @@ def misfit(problem: Problem, fit: FitResult) -> Misfit:
             parts.setdefault(name, []).append((part, floor, spread))
     channels = {}
     excess = variance = 0.0
-    for name, own in parts.items():
-        n = sum(len(part) for part, _floor, _spread in own)
-        total = sum(float(part @ part) for part, _floor, _spread in own)
-        floor = sum(item[1] for item in own)
-        share = float(np.hypot(own[0][2] / (floor / n) ** 0.5, np.sqrt(0.5 / n)))
+    for name, channel_parts in parts.items():
+        n = sum(len(part) for part, _floor, _spread in channel_parts)
+        total = sum(float(part @ part) for part, _floor, _spread in channel_parts)
+        floor = sum(item[1] for item in channel_parts)
+        share = float(np.hypot(channel_parts[0][2] / (floor / n) ** 0.5, np.sqrt(0.5 / n)))
         channels[name] = ChannelMisfit(
             float(np.sqrt(total / floor)), n, 1.0 + 3.0 * share, floor / n
         )

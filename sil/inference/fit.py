@@ -89,7 +89,7 @@ class FitResult:
     def point(self) -> tuple[tuple[float, ...], ...]:
         """Values of the hypothesis' own parameters, cause by cause: where another fit may begin."""
         pairs = zip(self.candidates, self.values, strict=True)
-        return tuple(tuple(own[p.name] for p in item.parameters) for item, own in pairs)
+        return tuple(tuple(values[p.name] for p in item.parameters) for item, values in pairs)
 
     def evidence(self) -> float:
         """Laplace's approximation of -2 log evidence, common constants left out."""
@@ -154,13 +154,13 @@ class Fitter:
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
         total = 0.5 * float(shared[:healthy] @ shared[:healthy])
-        own = shared[healthy:]
-        total += 0.5 * float(own @ precision(candidates) @ own)
+        scaled = shared[healthy:]
+        total += 0.5 * float(scaled @ precision(candidates) @ scaled)
         for k in use:
             try:
                 r = model.residual(k, shared, scatter[k], candidates)
             except IntegrationError as error:
-                values = model.effect_values(candidates, own)
+                values = model.effect_values(candidates, scaled)
                 raise IntegrationError(
                     f"{shown(candidates, values)}{model.name_of(k)}: {error}"
                 ) from None
@@ -352,9 +352,9 @@ class _Descent:
         for _ in range(len(shared)):
             if not moving.any():
                 break
-            held = trial - shared
-            held[moving] = 0.0
-            pull = gradient - normal @ held
+            fixed_step = trial - shared
+            fixed_step[moving] = 0.0
+            pull = gradient - normal @ fixed_step
             wanted = trial.copy()
             wanted[moving] = shared[moving] + np.linalg.solve(
                 normal[np.ix_(moving, moving)], pull[moving]

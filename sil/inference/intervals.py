@@ -33,15 +33,15 @@ def intervals(
     """Return the intervals of every effect parameter of a fit, by candidate name."""
     inflation = max(1.0, misfit.rms**2)
     deviation = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0) * inflation).tolist()
-    found: dict[str, dict[str, Interval]] = {}
+    tables: dict[str, dict[str, Interval]] = {}
     jobs: list[tuple[str, EffectParameter, int, float]] = []
     k = fit.layout.healthy
-    for candidate, own in zip(fit.candidates, fit.values, strict=True):
-        table = found[candidate.name] = {}
+    for candidate, values in zip(fit.candidates, fit.values, strict=True):
+        table = tables[candidate.name] = {}
         if profile and not candidate.is_term:
             jobs += [(candidate.name, candidate.parameters[0], k, side) for side in (-1.0, 1.0)]
         for parameter in candidate.parameters:
-            value = own[parameter.name]
+            value = values[parameter.name]
             centre, half = scaled_of(parameter, value), 1.96 * deviation[k]
             low, high = (value_of(parameter, centre + step) for step in (-half, half))
             table[parameter.name] = Interval(value, low, high, parameter.unit)
@@ -53,16 +53,16 @@ def intervals(
 
     ends = spread_out(work, jobs, workers)
     for (name, parameter, _index, _side), (moved, note) in zip(jobs, ends, strict=True):
-        old = found[name][parameter.name]
+        old = tables[name][parameter.name]
         edge = value_of(parameter, scaled_of(parameter, old.value) + moved)
         # the wider of profile and curvature: a profile may stop short in a curved valley
-        found[name][parameter.name] = replace(
+        tables[name][parameter.name] = replace(
             old,
             low=min(edge, old.low),
             high=max(edge, old.high),
             note="; ".join(text for text in (old.note, note) if text),
         )
-    return found
+    return tables
 
 
 def _one_side(

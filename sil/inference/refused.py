@@ -48,9 +48,9 @@ def shown(candidates: Sequence[Candidate], values: Sequence[Mapping[str, float]]
     """Return values of a hypothesis in words, empty for a hypothesis without any or a term's nodes."""
     named = [
         f"{name} {value:.4g}"
-        for item, own in zip(candidates, values, strict=True)
+        for item, parameters in zip(candidates, values, strict=True)
         if not item.is_term
-        for name, value in own.items()
+        for name, value in parameters.items()
     ]
     return f"{', '.join(named)} in " if named else ""
 

@@ -126,13 +126,13 @@ def change_of(
     Raises IntegrationError if one of them cannot be simulated.
     """
     changes = {}
-    own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
+    parameters = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
     for k, block in fit.blocks.items():
-        both, values = (*fit.candidates, candidate), (*fit.values, own)
+        both, values = (*fit.candidates, candidate), (*fit.values, parameters)
         try:
             changes[k] = model.changed(k, fit.shared, fit.stroke[k], both, values) - block.base
         except IntegrationError as error:
-            where = f"{shown((candidate,), (own,))}{model.name_of(k)}"
+            where = f"{shown((candidate,), (parameters,))}{model.name_of(k)}"
             raise IntegrationError(f"{where}: {error}") from None
     return changes
 
@@ -166,8 +166,8 @@ class Screening:
         cross = np.zeros_like(self._gradient)
         for k, c in changes.items():
             block, (inverse, hus, gs) = fit.blocks[k], self._inner[k]
-            held = (np.abs(fit.stroke[k]) >= FARTHEST_SD) & (gs == 0.0)
-            bc = np.where(held, 0.0, block.scatter.T @ c)
+            at_bound = (np.abs(fit.stroke[k]) >= FARTHEST_SD) & (gs == 0.0)
+            bc = np.where(at_bound, 0.0, block.scatter.T @ c)
             slope += float(c @ block.residual) - float(bc @ inverse @ gs)
             square += float(c @ c) - float(bc @ inverse @ bc)
             cross += block.shared.T @ c - hus @ (inverse @ bc)
@@ -192,8 +192,8 @@ class Screening:
             return None
         by = first - main.neutral
         sides = (by, -by) if main.sign == 0 else (by,)
-        found = [self._smallest(score, gain, side) for side in sides]
-        return None if None in found else max(found, key=lambda v: abs((v or 0.0) - main.neutral))
+        sizes = [self._smallest(score, gain, side) for side in sides]
+        return None if None in sizes else max(sizes, key=lambda v: abs((v or 0.0) - main.neutral))
 
     def _smallest(self, score: Score, gain: float, first: float) -> float | None:
         """Return the value that would gain so much on one side, from a first difference to neutral."""
@@ -204,10 +204,10 @@ class Screening:
             value = main.neutral + copysign(by, first)
             if not main.low <= value <= main.high:
                 return None
-            found = self.score(score.candidate, (value, *others))
-            if found is None or found.square == 0.0:
+            trial = self.score(score.candidate, (value, *others))
+            if trial is None or trial.square == 0.0:
                 return None
-            ratio = sqrt(2.0 * gain / found.square)
+            ratio = sqrt(2.0 * gain / trial.square)
             if abs(ratio - 1.0) <= 0.1:
                 break
             too_small, enough = (by, enough) if ratio > 1.0 else (too_small, by)
@@ -222,7 +222,7 @@ class Screening:
 def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
     """Score of every candidate on top of a fit, by its best start, largest gain first."""
     screening = Screening(fitter, fit)
-    found = []
+    scores = []
     for candidate in candidates:
         best: Score | None = None
         for start in candidate.starts[::2]:
@@ -232,5 +232,5 @@ def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> l
             if best is None or score.gain > best.gain or best.free == 0.0:
                 best = score
         if best is not None:
-            found.append(best)
-    return sorted(found, key=lambda score: -score.gain)
+            scores.append(best)
+    return sorted(scores, key=lambda score: -score.gain)

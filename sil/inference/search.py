@@ -20,7 +20,7 @@ from sil.inference.evidence import misfit, strained
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.problem import Block, Floats, Problem
 from sil.inference.screening import Score, screen
-from sil.inference.verdict import Held, Judged, Verdict, acceptable, decide, judge, weigh
+from sil.inference.verdict import HeldOutFits, Judged, Verdict, acceptable, decide, judge, weigh
 from sil.inference.workers import Stages, fitted
 
 
@@ -129,7 +129,7 @@ class Search:
         self.varied: set[str] = set()
         self.scores: list[Score] = []
         self.judged: list[Judged] = []
-        self.held_fits: Held = {}
+        self.held_fits: HeldOutFits = {}
         self.verdict: Verdict[Judged]
 
     def run(self) -> Verdict[Judged]:
@@ -337,14 +337,14 @@ class Search:
         self.varied.add(best.name)
         begin = (best.shared, best.stroke)
         tasks = []
-        for index, (member, own) in enumerate(zip(best.candidates, best.values, strict=True)):
+        for index, (member, values) in enumerate(zip(best.candidates, best.values, strict=True)):
             before, after = best.candidates[:index], best.candidates[index + 1 :]
             for other in self.candidates:
                 if other.name == member.name or not compatible(other, (*before, *after)):
                     continue
                 starts: Starts = ()
                 if other.id == member.id:
-                    starts = (tuple(own.get(p.name, p.neutral) for p in other.parameters),)
+                    starts = (tuple(values.get(p.name, p.neutral) for p in other.parameters),)
                 elif len(best.candidates) > 1 and other.cause_class == member.cause_class:
                     starts = other.starts
                 points = tuple(
@@ -435,10 +435,10 @@ class Search:
 
 def _one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
     """Return the first fit of each identifier."""
-    found: dict[str, FitResult] = {}
+    firsts: dict[str, FitResult] = {}
     for fit in singles:
-        found.setdefault(fit.candidates[0].id, fit)
-    return list(found.values())
+        firsts.setdefault(fit.candidates[0].id, fit)
+    return list(firsts.values())
 
 
 def _promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:

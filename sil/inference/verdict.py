@@ -72,13 +72,13 @@ E = TypeVar("E", bound=Explanation)
 class Judged:
     """A hypothesis judged by all strokes.
 
-    training, held: fits; both: the training one with the held-out strokes; score: evidence/2 on the
+    training, held_out_fit: fits; both: the training one with the held-out strokes; score: evidence/2 on the
     training plus cost on the held-out strokes; misfit: over the held-out strokes (over the training
     ones if none are held out); whole: over all.
     """
 
     training: FitResult
-    held: FitResult | None
+    held_out_fit: FitResult | None
     both: FitResult
     score: float
     misfit: Misfit
@@ -98,7 +98,7 @@ class Judged:
     @property
     def held_cost(self) -> float | None:
         """Cost on held-out strokes alone."""
-        return None if self.held is None else 0.5 * self.held.chi2
+        return None if self.held_out_fit is None else 0.5 * self.held_out_fit.chi2
 
     @property
     def slight(self) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ class Judged:
         return slight_causes(self)
 
 
-Held = dict[str, tuple[FitResult, FitResult | None]]
+HeldOutFits = dict[str, tuple[FitResult, FitResult | None]]
 """Fits by name, and what the held-out strokes made of them: None if they cannot be simulated."""
 
 
@@ -115,13 +115,13 @@ def judge(
     fits: Sequence[FitResult],
     held_out: Sequence[int],
     workers: int = 1,
-    known: Held | None = None,
+    evaluated: HeldOutFits | None = None,
 ) -> list[Judged]:
-    """Held-out evaluation of fits, best score first.
+    """HeldOutFits-out evaluation of fits, best score first.
 
     known: earlier evaluations, which are not repeated; new ones are added.
     """
-    known = {} if known is None else known
+    evaluated = {} if evaluated is None else evaluated
     model = fitter.model
     # offsets of gauges that no training stroke has: held-out ones determine them
     training = set(range(model.size)) - set(held_out)
@@ -139,28 +139,30 @@ def judge(
             fitter.refusals.lose(fit.candidates, error)
             return None
 
-    found = []
-    new = [f for f in fits if held_out and (f.name not in known or known[f.name][0] is not f)]
+    judged = []
+    new = [
+        f for f in fits if held_out and (f.name not in evaluated or evaluated[f.name][0] is not f)
+    ]
     for fit, answer in zip(new, fitted(fitter, work, new, workers), strict=True):
-        known[fit.name] = fit, answer
+        evaluated[fit.name] = fit, answer
     for fit in fits:
-        held = known[fit.name][1] if held_out else None
-        if held_out and held is None:
+        held_out_fit = evaluated[fit.name][1] if held_out else None
+        if held_out and held_out_fit is None:
             continue
         score, both = 0.5 * fit.evidence(), fit
         score -= sum(math.log(item.prior) for item in fit.candidates)
-        if held is not None:
+        if held_out_fit is not None:
             # the priors of the shared parameters are counted once, with the training strokes
-            score += 0.5 * held.chi2
-            blocks = {**fit.blocks, **held.blocks}
+            score += 0.5 * held_out_fit.chi2
+            blocks = {**fit.blocks, **held_out_fit.blocks}
             stroke = fit.stroke.copy()
-            stroke[list(held_out)] = held.stroke[list(held_out)]
+            stroke[list(held_out)] = held_out_fit.stroke[list(held_out)]
             both = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
-        own, whole = misfit(model, held or fit), misfit(model, both)
-        found.append(Judged(fit, held, both, score, own, whole))
-    found.sort(key=lambda item: item.score)
-    weigh(found)
-    return found
+        held_out_misfit, whole = misfit(model, held_out_fit or fit), misfit(model, both)
+        judged.append(Judged(fit, held_out_fit, both, score, held_out_misfit, whole))
+    judged.sort(key=lambda item: item.score)
+    weigh(judged)
+    return judged
 
 
 def weigh(judged: Sequence[Explanation]) -> None:
@@ -212,19 +214,19 @@ class Verdict(Generic[E]):
 def _sizes_of(fit: FitResult, of: Floats) -> Iterator[tuple[Candidate, dict[str, float], float]]:
     """Yield each named cause of a fit, its values, and the size of its main parameter in `of` [own]."""
     k = 0
-    for candidate, own in zip(fit.candidates, fit.values, strict=True):
+    for candidate, parameters in zip(fit.candidates, fit.values, strict=True):
         count = len(candidate.parameters)
         main = count if candidate.effect.sized_by == "any" else 1
         if not candidate.is_term:
-            yield candidate, own, float(np.abs(of[k : k + main]).max())
+            yield candidate, parameters, float(np.abs(of[k : k + main]).max())
         k += count
 
 
 def acceptable(item: Judged) -> bool:
     """Return whether a hypothesis' main parameters have physical signs and exclude neutral."""
     fit = item.training
-    own = fit.layout.effect_slice
-    deviation = np.diag(fit.covariance)[own] ** 0.5
+    effects = fit.layout.effect_slice
+    deviation = np.diag(fit.covariance)[effects] ** 0.5
     sizes = _sizes_of(fit, fit.scaled / deviation)
     return all(
         candidate.physical(values) and size >= LIMITS.min_deviations

@@ -42,12 +42,12 @@ def spread_out(
 
     progress(done, size) is called after every item. Raises RunError if a process dies.
     """
-    found: list[Answer] = []
+    answers: list[Answer] = []
     number = min(workers, len(items))
     for answer in in_processes(work, items, number) if number > 1 else map(work, items):
-        found.append(answer)
-        progress(len(found), len(items))
-    return found
+        answers.append(answer)
+        progress(len(answers), len(items))
+    return answers
 
 
 def fitted(

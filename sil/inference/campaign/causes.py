@@ -42,20 +42,20 @@ def causes_of(
             )
         )
 
-    found = intervals(fitter, final, verdict.leader.whole, workers)
+    intervals_by_name = intervals(fitter, final, verdict.leader.whole, workers)
     for candidate in final.candidates:
-        own = found[candidate.name]
-        add(candidate, own, sentence(candidate, verdict, judged, own))
+        parameters = intervals_by_name[candidate.name]
+        add(candidate, parameters, sentence(candidate, verdict, judged, parameters))
     for name in verdict.probabilities:
         if name in verdict.claimed:
             continue
         item = next(i for i in judged if name in i.ids)
         candidate = item.training.candidates[item.ids.index(name)]
-        own = intervals(fitter, item.training, item.whole, 1, profile=False)[candidate.name]
+        parameters = intervals(fitter, item.training, item.whole, 1, profile=False)[candidate.name]
         behind = item.score - verdict.leader.score
         add(
             candidate,
-            own,
+            parameters,
             f"{item.name} is {behind:.1f} behind in log evidence",
         )
     gains = verdict.gains
@@ -106,7 +106,7 @@ def extended_model(
     }
     reported = {(cause.id, cause.variant): cause.parameters for cause in causes}
     for candidate in final.candidates:
-        own = reported[(candidate.id, candidate.variant)]
+        cause_parameters = reported[(candidate.id, candidate.variant)]
         if candidate.is_term:
             form = form_of(candidate)
             origin = f"{source}: {form.what} of {form.on} [{form.unit}], class {form.cause_class}"
@@ -115,14 +115,14 @@ def extended_model(
                 "variable": float(form.over),
                 "low": form.low,
                 "step": form.step,
-                "nodes": tuple(item.value for item in own.values()),
+                "nodes": tuple(item.value for item in cause_parameters.values()),
             }
             table = {name: Parameter(value, "-", origin) for name, value in rows.items()}
         else:
             origin = f"{source}, 95 % interval"
             table = {
                 name: Parameter(item.value, item.unit, origin, item.low, item.high)
-                for name, item in own.items()
+                for name, item in cause_parameters.items()
             }
             units = {p.name: p.unit for p in candidate.effect.parameters}
             origin = f"variant {candidate.variant}"

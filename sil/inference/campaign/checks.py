@@ -83,9 +83,11 @@ def observed(
             )
     if not any(stroke.channels or stroke.internal for stroke in strokes):
         raise InputError(f"{campaign.folder}: no position and no pressure in any stroke")
-    for name, own in noise.items():
+    for name, measured_noise in noise.items():
         usual = nominal[kind_of(name)].sd
-        text = f"noise of {own.sd:.3g}, {own.sd / usual:.2g} times what is usual"
+        text = (
+            f"noise of {measured_noise.sd:.3g}, {measured_noise.sd / usual:.2g} times what is usual"
+        )
         findings.append(Finding(campaign.name, name, f"{text}: estimated from the records"))
     return strokes, findings
 
@@ -249,12 +251,14 @@ def check_signals(
         moves_too = not motion or np.diff(_shift_costs(motion, np.array([0.0, shift])))[0] < 0.0
         shifts[k] = shift if moves_too else 0.0
     closing = {k: any(duty == 0.0 for *_, duty in strokes[k].conditions.commands) for k in shifts}
-    own = {}
+    to_take_off = {}
     for k, shift in shifts.items():
         alike = [s for j, s in shifts.items() if j != k and closing[j] == closing[k]]
         if abs(shift) >= SHIFT_S and alike and np.median(np.abs(alike)) < SHIFT_S:
-            own[k] = shift
-    return findings + [_shifted(strokes[k], shift, "; taken off") for k, shift in own.items()], own
+            to_take_off[k] = shift
+    return findings + [
+        _shifted(strokes[k], shift, "; taken off") for k, shift in to_take_off.items()
+    ], to_take_off
 
 
 def _refuse_reversed(
@@ -315,15 +319,15 @@ def _swapped(pressures: Signals, least: float, share: float) -> list[str]:
     def misfit(measured: Floats, predicted: Floats) -> float:
         return float(np.mean((measured - predicted) ** 2))
 
-    found = []
+    pairs = []
     for one, two in itertools.combinations(sorted(pressures), 2):
         (a, b, _t), (c, d, _s) = pressures[one], pressures[two]
         if len(a) != len(c):
             continue
         straight = misfit(a, b) + misfit(c, d)
         if straight > least and misfit(a, d) + misfit(c, b) < share * straight:
-            found.append(f"{one}, {two}")
-    return found
+            pairs.append(f"{one}, {two}")
+    return pairs
 
 
 def time_shift(pressures: Signals) -> float:

@@ -42,13 +42,13 @@ def consequence(given: str, extended: Path) -> Consequence:
 
     What belongs to instruments or to single strokes cannot be applied to a run; the reason is reported.
     """
-    found: list[Change] = []
+    changes: list[Change] = []
     try:
         for name in SCENARIOS:
             before, after = (
                 run_in_memory(load(name, model=str(model))).shifts for model in (given, extended)
             )
-            found += [
+            changes += [
                 Change(
                     name,
                     f"{one.from_gear} to {one.to_gear}",
@@ -60,5 +60,5 @@ def consequence(given: str, extended: Path) -> Consequence:
     except InputError as error:
         return Consequence((), str(error).removeprefix(f"{extended}: "))
     except RunError as error:
-        return Consequence(tuple(found), f"{name} could not be run: {error}")
-    return Consequence(tuple(found))
+        return Consequence(tuple(changes), f"{name} could not be run: {error}")
+    return Consequence(tuple(changes))

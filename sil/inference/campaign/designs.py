@@ -53,7 +53,7 @@ def designs(
     supplies = _supplies(measured)
     rests = sorted({c.rest_s for c in measured})
     rests = sorted({rests[0], rests[-1]}) if every_rest else [measured[0].rest_s]
-    found: dict[StrokeConditions, None] = {}
+    distinct: dict[StrokeConditions, None] = {}
     for base in measured:
         for commanded in (base, *_against(base)):
             for commands in (commanded.commands, *_pulses(commanded), *_later(commanded)):
@@ -66,10 +66,10 @@ def designs(
                             rest_s=rest_s,
                             progress=1.0,
                         )
-                        found.setdefault(new, None)
+                        distinct.setdefault(new, None)
     return [
         CampaignStroke(str(Path(folder) / f"design_{number:03d}.csv"), described(c), c)
-        for number, c in enumerate(found, start=1)
+        for number, c in enumerate(distinct, start=1)
     ]
 
 
@@ -118,11 +118,11 @@ def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
 def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
     """Yield the commands with the driving valve open for PULSES_S instead."""
     driving = HELD[base.kind][0]
-    own = [(when, duty) for when, valve, duty in base.commands if valve == driving]
-    if not own or own[0][1] <= 0.0:
+    driving_commands = [(when, duty) for when, valve, duty in base.commands if valve == driving]
+    if not driving_commands or driving_commands[0][1] <= 0.0:
         return
     others = [command for command in base.commands if command[1] != driving]
-    begin_s = own[0][0]
+    begin_s = driving_commands[0][0]
     for pulse_s in PULSES_S:
         pulse = [(begin_s, driving, FULL_DUTY), (round(begin_s + pulse_s, 6), driving, 0.0)]
         yield tuple(sorted([*others, *pulse]))
@@ -151,7 +151,7 @@ def imagined(
         FIXED: parameters.value("fixed.stroke"),
         LENGTH: parameters.value("length.stroke"),
     }
-    found = []
+    observations = []
     for entry in entries:
         last_s = max((when for when, _valve, _duty in entry.conditions.commands), default=0.0)
         time_s = np.arange(round(max(end_s, last_s + TAIL_S) * rate_hz) + 1) / rate_hz
@@ -161,8 +161,8 @@ def imagined(
                 continue
             columns = stroke_columns(stroke)
             record = Record(Path(entry.file), _recorded(columns, set(noise), internal))
-            found.append(observe(entry, record, parameters, noise=noise))
-    return found
+            observations.append(observe(entry, record, parameters, noise=noise))
+    return observations
 
 
 def _recorded(columns: dict[str, Floats], names: set[str], internal: bool) -> dict[str, Floats]:

@@ -231,7 +231,7 @@ def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
     except IntegrationError:  # which the search reports
         return training, held_out
     judged = [] if misfit(model, healthy).beyond > 0.0 else judge(fitter, [healthy], held_out)
-    if not judged or judged[0].held is None or judged[0].misfit.beyond == 0.0:
+    if not judged or judged[0].held_out_fit is None or judged[0].misfit.beyond == 0.0:
         return training, held_out
     blocks = judged[0].both.blocks
     squares = {k: float(np.mean(block.residual**2)) for k, block in blocks.items()}

@@ -76,8 +76,8 @@ def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
         x = ms[channel.rows]
         lines = [Series("measured", x, scale * channel.measured, "measured", width=2.2)]
         residuals = []
-        for (name, _fit, role, dashed), found in zip(models, parts, strict=True):
-            r = found[n][1]
+        for (name, _fit, role, dashed), channels in zip(models, parts, strict=True):
+            r = channels[n][1]
             predicted = scale * (channel.measured - r * channel.sd)
             lines.append(Series(name, x, predicted, role, dashed=dashed, width=0.9))
             residuals.append(Series(name, x, r, role, width=0.6))

@@ -81,8 +81,8 @@ class CampaignModel(Problem):
         for name, amount in amounts.items():
             if amount != 0.0:
                 shift(setup, name, amount)
-        for candidate, own in zip(candidates, values, strict=True):
-            candidate.change(setup, own)
+        for candidate, parameters in zip(candidates, values, strict=True):
+            candidate.change(setup, parameters)
         return setup
 
     def predict(self, k: int, setup: Setup, rounded: bool = False) -> Floats:
@@ -248,9 +248,9 @@ class CampaignModel(Problem):
         if not own_only and reuse is None:
             needed = {*self.scatter, *(n for j, n in enumerate(self.unit) if j not in frozen)}
             steps = {n: DIFFERENCE * self.spread.size(n) for n in SIMULATED if n in needed}
-        own = [(item.effect, p) for item in candidates for p in item.parameters]
+        effect_parameters = [(item.effect, p) for item in candidates for p in item.parameters]
         delays: dict[str, tuple[str, float]] = {}
-        wanted = zip(layout.effects, own, scaled, strict=True)
+        wanted = zip(layout.effects, effect_parameters, scaled, strict=True)
         for name, (effect, parameter), value in (
             item for j, item in enumerate(wanted, healthy) if j not in frozen
         ):

@@ -51,8 +51,8 @@ DRAWN = 4000
 
 def unit_of(name: str) -> str:
     """Return the unit in a column's name: x [mm], x (mm), x_mm, x/mm; empty if there is none."""
-    found = re.search(r"[\[(/]\s*([^\])]+?)\s*[\])]?$", name) or re.search(r"_([A-Za-zµ°]+)$", name)
-    return found.group(1) if found and found.group(1) in SCALES else ""
+    match = re.search(r"[\[(/]\s*([^\])]+?)\s*[\])]?$", name) or re.search(r"_([A-Za-zµ°]+)$", name)
+    return match.group(1) if match and match.group(1) in SCALES else ""
 
 
 def guess(
@@ -62,12 +62,12 @@ def guess(
 
     columns: [n] each, in the file's units; units: those stored apart from the names.
     """
-    found: dict[str, tuple[str, float, bool]] = {}
+    sources: dict[str, tuple[str, float, bool]] = {}
     for name, values in columns.items():
         stored = units[name] if units.get(name) in SCALES else ""
         if name in NAMES:
             fits = stored and SCALES[stored][0] == name
-            found[name] = (name, SCALES[stored][1] if fits else 1.0, True)
+            sources[name] = (name, SCALES[stored][1] if fits else 1.0, True)
             continue
         bare = re.split(r"[./]", name)[-1].strip()
         unit = stored or unit_of(name) or unit_of(bare)
@@ -80,11 +80,11 @@ def guess(
             scale = 1.0
         if ours == "time_s" and np.any(np.diff(values) <= 0.0):
             continue
-        if ours == "pressure_pa" and ours in found:
+        if ours == "pressure_pa" and ours in sources:
             ours = "pressure_2_pa"
-        if ours and ours not in found:
-            found[ours] = (name, scale, bool(unit))
-    return found
+        if ours and ours not in sources:
+            sources[ours] = (name, scale, bool(unit))
+    return sources
 
 
 def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]:
@@ -106,9 +106,9 @@ def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]
     columns, _dialect, units = tables[0]
     shown = {f"{name} [{units[name]}]" if name in units else name for name in columns}
     for file, (other, _, others) in zip(files, tables, strict=True):
-        own = {f"{name} [{others[name]}]" if name in others else name for name in other}
-        if own != shown:
-            odd = ", ".join(sorted(own ^ shown))
+        described = {f"{name} [{others[name]}]" if name in others else name for name in other}
+        if described != shown:
+            odd = ", ".join(sorted(described ^ shown))
             raise InputError(f"{file}: other columns than {files[0]}: {odd}; expected the same")
     odd_ones = {
         name
@@ -117,17 +117,17 @@ def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]
         if not np.all(np.abs(values) < LARGEST)
     }
     columns = {name: values for name, values in columns.items() if name not in odd_ones}
-    found = guess(columns, units)
-    if not set(columns) - {found.get("time_s", ("",))[0]}:
+    sources = guess(columns, units)
+    if not set(columns) - {sources.get("time_s", ("",))[0]}:
         raise InputError(f"{files[0]}: no channel but time; expected position and force")
-    asked = [text for name, text in ASKED.items() if not _has(found, name)]
-    asked += ALWAYS + (PRESSURE if "pressure_pa" in found else ())
-    vague = [source for source, _scale, stated in found.values() if not stated]
+    asked = [text for name, text in ASKED.items() if not _has(sources, name)]
+    asked += ALWAYS + (PRESSURE if "pressure_pa" in sources else ())
+    vague = [source for source, _scale, stated in sources.values() if not stated]
     if vague:
         asked.append(f"no unit is stated for {', '.join(vague)}: SI is assumed")
     rate = []
-    if "time_s" in found:
-        name, scale, _stated = found["time_s"]
+    if "time_s" in sources:
+        name, scale, _stated = sources["time_s"]
         hertz = 1.0 / (scale * float(np.median(np.diff(columns[name]))))
         rate = [f"sample_rate_hz = {float(f'{hertz:.6g}')}"]
     lines = [
@@ -138,10 +138,10 @@ def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]
         *(f"# {text}" for text in asked),
         "[columns]",
     ]
-    for ours, (source, scale, _stated) in found.items():
+    for ours, (source, scale, _stated) in sources.items():
         if ours != source or scale != 1.0:
             lines.append(f"{ours} = {{ column = {toml_value(source)}, scale = {scale!r} }}")
-    used = {source for source, _scale, _stated in found.values()}
+    used = {source for source, _scale, _stated in sources.values()}
     lines += [f"# not used: {toml_value(name)}" for name in columns if name not in used]
     lines += [f"# not used, not finite: {toml_value(name)}" for name in sorted(odd_ones)]
     for file, (_columns, dialect, _units) in zip(files, tables, strict=True):
@@ -151,24 +151,24 @@ def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]
             shutil.copyfile(file, folder / file.name)
     write_atomically(folder / "campaign.toml", "\n".join(lines) + "\n")
     drawn = [{name: table[name] for name in columns} for table, *_rest in tables]
-    save(_figure(files, drawn, found), folder, "channels")
+    save(_figure(files, drawn, sources), folder, "channels")
     return asked
 
 
-def _has(found: Mapping[str, object], name: str) -> bool:
+def _has(sources: Mapping[str, object], name: str) -> bool:
     others = {"position_m": ("angle_rad",), "force_n": ("torque_n_m",)}
-    return name in found or any(other in found for other in others.get(name, ()))
+    return name in sources or any(other in sources for other in others.get(name, ()))
 
 
 def _figure(
     files: Sequence[Path],
     tables: Sequence[Mapping[str, Floats]],
-    found: Mapping[str, tuple[str, float, bool]],
+    sources: Mapping[str, tuple[str, float, bool]],
 ) -> Figure:
     """Return every channel as it is in the files, one stack a file (of the first four)."""
     stacks = []
-    clock = found.get("time_s", ("", 1.0, False))
-    ours = {source: name for name, (source, _scale, _stated) in found.items()}
+    clock = sources.get("time_s", ("", 1.0, False))
+    ours = {source: name for name, (source, _scale, _stated) in sources.items()}
     for file, columns in list(zip(files, tables, strict=True))[:4]:
         count = len(next(iter(columns.values())))
         x = np.asarray(columns.get(clock[0], np.arange(float(count))) * clock[1])

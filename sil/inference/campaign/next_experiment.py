@@ -141,14 +141,17 @@ class NextExperiment:
         """One sentence: what the strokes are for and what is expected of them."""
         count = len(self.strokes)
         one, two = self.weakest
-        least, told = self.together[one, two], sum(d >= self.enough for d in self.together.values())
+        least, separated = (
+            self.together[one, two],
+            sum(d >= self.enough for d in self.together.values()),
+        )
         text = f"{self.purpose}: {counted(count, 'stroke')} "
         if self.separated:
             return (
                 text + f"{'gives' if count == 1 else 'give'} at least {least:.3g} in log evidence"
             )
         if len(self.together) > 2:
-            return text + f"would show {told} of {len(self.together)}"
+            return text + f"would show {separated} of {len(self.together)}"
         return text + (
             f"{'gives' if count == 1 else 'give'} {least:.3g} in log evidence for {one} against {two}; "
             f"{self.enough:.3g} would be enough"
@@ -275,23 +278,25 @@ def _between(
     """Return the leading explanations, and the question which of them is true."""
     leader = verdict.leader
     asked = {name for group in verdict.rivals for name in group}
-    found = {leader.name: leader}
+    explanations = {leader.name: leader}
     for item in sorted(judged, key=lambda item: item.score):
-        if not item.ids or set(item.ids) >= set(leader.ids) or len(found) == MOST_RIVALS:
+        if not item.ids or set(item.ids) >= set(leader.ids) or len(explanations) == MOST_RIVALS:
             continue
         if verdict.rivals:
             likely = item.probability >= LIMITS.min_contest_share * leader.probability
             is_open = likely and not asked.isdisjoint(item.ids)
         else:  # the next best one, whatever its probability
-            is_open = len(found) < 2
+            is_open = len(explanations) < 2
         if is_open:
-            found.setdefault(item.name, item)
-    hypotheses = [Hypothesis.of(item.training) for item in found.values()]
-    if len(found) < 2:
+            explanations.setdefault(item.name, item)
+    hypotheses = [Hypothesis.of(item.training) for item in explanations.values()]
+    if len(explanations) < 2:
         return hypotheses, None
-    weights = np.array([item.probability if verdict.rivals else 1.0 for item in found.values()])
-    numbers = tuple(range(len(found)))
-    causes = [set(item.ids) for item in found.values()]
+    weights = np.array(
+        [item.probability if verdict.rivals else 1.0 for item in explanations.values()]
+    )
+    numbers = tuple(range(len(explanations)))
+    causes = [set(item.ids) for item in explanations.values()]
     # forms of one cause need not be told apart
     pairs = tuple((i, j) for i, j in permutations(numbers, 2) if causes[i] != causes[j])
     return hypotheses, Question(numbers, weights / weights.sum(), pairs)
@@ -312,18 +317,18 @@ def _hidden(
 ) -> list[Hypothesis]:
     """Return the healthy unit with each cause that the strokes measured would not show at that size."""
     fitter = Fitter(CampaignModel(model.strokes, model.spread))
-    found = [_with(healthy, candidate, size) for candidate in candidates]
+    with_cause = [_with(healthy, candidate, size) for candidate in candidates]
     prior = np.eye(len(healthy.shared))
 
     def shown(item: Hypothesis) -> float:
-        told = Told({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
+        separation = Separation({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
         for k in range(len(model.strokes)):
-            more = _told(fitter, k, [healthy, item], [_whether(1, enough)])
-            told = told if more is None else told.plus(more)
-        return told.distances()[1, 0]
+            more = _separation(fitter, k, [healthy, item], [_whether(1, enough)])
+            separation = separation if more is None else separation.plus(more)
+        return separation.distances()[1, 0]
 
-    distances = spread_out(shown, found, workers)
-    return [item for item, d in zip(found, distances, strict=True) if d < enough]
+    distances = spread_out(shown, with_cause, workers)
+    return [item for item, d in zip(with_cause, distances, strict=True) if d < enough]
 
 
 def _with(healthy: Hypothesis, candidate: Candidate, size: float) -> Hypothesis:
@@ -349,16 +354,16 @@ Distances = dict[tuple[int, int], float]
 
 # --- what a stroke tells ------------------------------------------------------------------------
 @dataclass
-class Told:
+class Separation:
     """Sums over strokes by pair (true, false): r'Wr, J'Wr, J'WJ."""
 
     squares: dict[tuple[int, int], float]
     gradients: dict[tuple[int, int], Floats]
     normals: dict[tuple[int, int], Floats]
 
-    def plus(self, other: Told) -> Told:
+    def plus(self, other: Separation) -> Separation:
         """Return the sums over the strokes of both."""
-        return Told(
+        return Separation(
             {pair: value + other.squares[pair] for pair, value in self.squares.items()},
             {pair: value + other.gradients[pair] for pair, value in self.gradients.items()},
             {pair: value + other.normals[pair] for pair, value in self.normals.items()},
@@ -389,16 +394,16 @@ def information(question: Question, distances: Distances) -> float:
     return float(total)
 
 
-def _told(
+def _separation(
     fitter: Fitter, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
-) -> Told | None:
+) -> Separation | None:
     """Return what stroke k would tell; None if a hypothesis cannot simulate it.
 
     The stroke's own scatter follows by a fit, since edges that move in time are not linear.
     """
     model = fitter.model
     assert isinstance(model, CampaignModel)
-    out = Told({}, {}, {})
+    out = Separation({}, {}, {})
     try:
         for i, j in dict.fromkeys(pair for question in questions for pair in question.pairs):
             false = hypotheses[j]
@@ -430,9 +435,9 @@ def _predicted(model: CampaignModel, k: int, item: Hypothesis) -> Floats:
 
 def _moved(model: CampaignModel, old: CampaignModel, item: Hypothesis) -> Hypothesis:
     """Return a hypothesis among the parameters of another model, new offsets at their prior."""
-    own = len(model.layout(item.candidates).effects)
+    count = len(model.layout(item.candidates).effects)
     names = [*model.unit, *model.offsets]
-    size = len(names) + own
+    size = len(names) + count
     at = [names.index(name) for name in (*old.unit, *old.offsets)] + list(range(len(names), size))
     shared = np.zeros(size)
     shared[at] = item.shared
@@ -455,19 +460,25 @@ def _chosen(
     """
     fitter = Fitter(model)
     numbers = range(measured, len(model.strokes))
-    told_by = spread_out(lambda k: _told(fitter, k, hypotheses, questions), numbers, workers)
-    choices = {k: told for k, told in zip(numbers, told_by, strict=True) if told is not None}
+    separations = spread_out(
+        lambda k: _separation(fitter, k, hypotheses, questions), numbers, workers
+    )
+    choices = {
+        k: separation
+        for k, separation in zip(numbers, separations, strict=True)
+        if separation is not None
+    }
     if not choices:
         return [], {}, {}
     some = next(iter(choices.values()))
-    nothing = sums = Told(
+    nothing = sums = Separation(
         dict.fromkeys(some.squares, 0.0),
         {pair: np.zeros(len(g)) for pair, g in some.gradients.items()},
         {(i, j): hypotheses[j].normal for i, j in some.normals},
     )
 
-    def value(told: Told) -> float:
-        distances = told.distances()
+    def value(separation: Separation) -> float:
+        distances = separation.distances()
         return sum(information(question, distances) for question in questions)
 
     picked: list[int] = []

@@ -78,7 +78,7 @@ def estimated_noise(
     By third differences of measured - predicted where the prediction itself is smooth. Where few
     samples leave a channel's own estimate uncertain, that of all channels of its kind counts.
     """
-    found: dict[str, list[Floats]] = {}
+    differences: dict[str, list[Floats]] = {}
     steps: dict[str, float] = {}
     for stroke, record in zip(strokes, records, strict=True):
         try:
@@ -89,18 +89,18 @@ def estimated_noise(
             predicted = stroke.predicted(channel, states, stroke.setup)
             smooth = np.abs(np.diff(predicted, ORDER)) < 0.5 * nominal[channel.kind].sd
             moved = np.diff(channel.measured - predicted, ORDER)[smooth]
-            found.setdefault(channel.name, []).append(np.abs(moved))
+            differences.setdefault(channel.name, []).append(np.abs(moved))
             step = _least_step(record[channel.name])
             steps[channel.name] = min(step, steps.get(channel.name, step))
-    pooled = {name: np.concatenate(parts) for name, parts in found.items()}
+    pooled = {name: np.concatenate(parts) for name, parts in differences.items()}
     noise = {}
     for name in pooled:
         kind = kind_of(name)
         alike = [values for other, values in pooled.items() if kind_of(other) == kind]
-        own = _noise(pooled[name], steps[name])
+        channel_noise = _noise(pooled[name], steps[name])
         usual, mean = nominal[kind], _noise(np.concatenate(alike), steps[name])
         best = usual if _agree(mean, usual, AGREES[kind]) else mean
-        best = best if _agree(own, best, AGREES[kind]) else own
+        best = best if _agree(channel_noise, best, AGREES[kind]) else channel_noise
         if best is not usual:
             noise[name] = best
     return noise
@@ -111,8 +111,8 @@ def _least_step(values: Floats) -> float:
     return float(np.diff(distinct).min()) if rounding_of(values) > 0.0 else 0.0
 
 
-def _agree(own: Noise, other: Noise, share: float) -> bool:
-    return abs(own.sd / other.sd - 1.0) <= share + 2.0 * own.uncertainty
+def _agree(one: Noise, other: Noise, share: float) -> bool:
+    return abs(one.sd / other.sd - 1.0) <= share + 2.0 * one.uncertainty
 
 
 def _noise(differences: Floats, step: float) -> Noise:

@@ -142,16 +142,18 @@ def observe(
         measured, use = record[column][rows], np.full(len(rows), True)
         if column in clipped and kind == "pressure":
             use = measured < record[column].max() - 1e-9
-        own = (noise or {}).get(column, nominal[kind])
+        channel_noise = (noise or {}).get(column, nominal[kind])
         weights, floor = np.ones(len(rows)), 1.0
         if kind == "position":
             # a resting wiper stays on one wire: its samples are one observation, not hundreds
-            weights = np.maximum(1.0, _run_lengths(measured, own.step) / 4.0)
-            usual = own is nominal[kind] and step_s <= FINE_S
+            weights = np.maximum(1.0, _run_lengths(measured, channel_noise.step) / 4.0)
+            usual = channel_noise is nominal[kind] and step_s <= FINE_S
             floor = POSITION_FLOOR if usual else POSITION * float(np.mean(1.0 / weights))
-        sd = own.sd * np.sqrt(weights[use])
+        sd = channel_noise.sd * np.sqrt(weights[use])
         size = floor * np.count_nonzero(use)
-        channels.append(Channel(column, kind, state, measured[use], sd, at[use], own, size))
+        channels.append(
+            Channel(column, kind, state, measured[use], sd, at[use], channel_noise, size)
+        )
 
     if "position_m" in record:
         add("position_m", 0)
@@ -176,14 +178,14 @@ def nominal_noise(parameters: ParameterSet) -> dict[str, Noise]:
     """Return the noise of each kind of channel by the parameters, its converter's step included."""
     value = parameters.value
     pot = value("potentiometer.resolution")
-    found = {
+    noise = {
         "position": Noise(float(np.hypot(value("potentiometer.noise_sd"), pot / ROOT_12)), pot)
     }
     for kind, medium in (("pressure", "air"), ("oil", "oil")):
         step = value(f"gauge.range_{medium}") / 2 ** value("gauge.adc_bits")
         sd = float(np.hypot(value(f"gauge.noise_sd_{medium}"), step / ROOT_12))
-        found[kind] = Noise(sd, step)
-    return found
+        noise[kind] = Noise(sd, step)
+    return noise
 
 
 def _thinned(

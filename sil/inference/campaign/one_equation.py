@@ -38,12 +38,16 @@ class Alone:
 
     def rms(self) -> dict[str, float]:
         """Return rms by equation [m], [Pa]."""
-        found = {}
+        values_by_equation = {}
         if self.position_m is not None:
-            found["force balance of the stay"] = float(np.sqrt(np.mean(self.position_m**2)))
+            values_by_equation["force balance of the stay"] = float(
+                np.sqrt(np.mean(self.position_m**2))
+            )
         for name, values in self.pressures_pa.items():
-            found[f"mass balance of chamber {name}"] = float(np.sqrt(np.mean(values**2)))
-        return found
+            values_by_equation[f"mass balance of chamber {name}"] = float(
+                np.sqrt(np.mean(values**2))
+            )
+        return values_by_equation
 
 
 def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:

@@ -94,9 +94,9 @@ def write_report(
     before, after = show(result.model, result.healthy), show(result.model, result.final)
     strokes = strokes_figure(result)
     figures = {"strokes": strokes, "phases": phases_figure(before, after)}
-    found = _equations(result)
-    if found is not None:
-        figures["equations"] = equations_figure(result, *found)
+    equations = _equations(result)
+    if equations is not None:
+        figures["equations"] = equations_figure(result, *equations)
     terms = {c.name: c for c in result.final.candidates if c.is_term}
     for cause in result.causes:
         candidate = terms.get(f"{cause.id}:{cause.variant}")
@@ -129,7 +129,7 @@ def write_report(
         result=result,
         causes=[(c, _parameter_lines(c), _look_alikes(c, result)) for c in result.causes],
         pictures=pictures,
-        alone=[] if found is None else _rms_rows(*found[1:]),
+        alone=[] if equations is None else _rms_rows(*equations[1:]),
         judged=[
             (item, _fitted_values(item), result.refusals.get(item.name, Tried(item.ids)))
             for item in result.judged[:12]
@@ -162,7 +162,7 @@ def _explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
         "left_over": item.misfit.rms,
         "tried": counts.tried,
         "refused": counts.refused,
-        "parameters": {candidate.name: dict(own) for candidate, own in pairs},
+        "parameters": {candidate.name: dict(values) for candidate, values in pairs},
     }
 
 
@@ -201,12 +201,12 @@ def _rms_rows(before: Alone, after: Alone) -> list[tuple[str, str, str]]:
 
 def _look_alikes(cause: Cause, result: Diagnosis) -> str:
     """Return the cause's look-alikes that were fitted to the end, and how far each is behind."""
-    found = []
+    texts = []
     for other in look_alikes(cause.id):
         scores = [i.score for i in result.judged if other in i.ids and cause.id not in i.ids]
         if scores:
-            found.append(f"{other} {min(scores) - result.verdict.leader.score:,.0f}")
-    return ", ".join(found)
+            texts.append(f"{other} {min(scores) - result.verdict.leader.score:,.0f}")
+    return ", ".join(texts)
 
 
 def _parameter_lines(cause: Cause) -> list[str]:
@@ -236,11 +236,11 @@ def _tiles(result: Diagnosis) -> list[tuple[str, str]]:
 def _fitted_values(item: Judged) -> str:
     """Return the fitted parameters of an explanation."""
     texts = []
-    for candidate, own in zip(item.training.candidates, item.training.values, strict=True):
+    for candidate, values in zip(item.training.candidates, item.training.values, strict=True):
         if candidate.is_term:
-            texts.append(f"{len(own)} nodes")
+            texts.append(f"{len(values)} nodes")
         else:
-            texts += [f"{name} {value:.4g}" for name, value in own.items()]
+            texts += [f"{name} {value:.4g}" for name, value in values.items()]
     return ", ".join(texts)
 
 

@@ -78,10 +78,10 @@ def show(model: CampaignModel, fit: FitResult) -> Shown:
         phase = phases(stroke.time_s, states, setup)
         observed: dict[str, Floats] = {}
         for channel, r in channel_parts(stroke, block.residual):
-            name, own = channel.name, phase[channel.rows]
-            for index in np.unique(own):
+            name, phase_of_row = channel.name, phase[channel.rows]
+            for index in np.unique(phase_of_row):
                 table = by_phase.setdefault(name, {})
-                table.setdefault(PHASES[index], []).append(r[own == index])
+                table.setdefault(PHASES[index], []).append(r[phase_of_row == index])
             raw = np.abs(r * channel.sd)
             top = float(np.abs(channel.measured).max())
             errors.setdefault(name, []).append((raw.mean() / top, raw.max() / top))
@@ -160,15 +160,17 @@ def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
             part = block.residual[stroke.size :] * stroke.internal.sd_m
             parts.setdefault("position_internal_m", []).append(part)
     return {
-        name: float(np.sqrt(sum(float(p @ p) for p in own) / max(1, sum(map(len, own)))))
-        for name, own in parts.items()
+        name: float(
+            np.sqrt(sum(float(p @ p) for p in residuals) / max(1, sum(map(len, residuals))))
+        )
+        for name, residuals in parts.items()
     }
 
 
 def gain_between(model: CampaignModel, verdict: Verdict[Judged], held_out: tuple[int, ...]) -> Gain:
     """Gain of the verdict's leader over the healthy model, each fitted to the training strokes."""
-    before = verdict.healthy.held or verdict.healthy.training
-    after = verdict.leader.held or verdict.leader.training
+    before = verdict.healthy.held_out_fit or verdict.healthy.training
+    after = verdict.leader.held_out_fit or verdict.leader.training
     first, second = _channel_rms(model, before), _channel_rms(model, after)
     return Gain(
         tuple(model.strokes[k].entry.file for k in held_out),

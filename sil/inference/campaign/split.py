@@ -96,5 +96,5 @@ def odd_ones_in(
         if len(freed) < len(moved) and alike > 1:
             remaining.remove(k)
             freed.append(k)
-    held = sorted((set(held_out) - set(moved)) | set(freed))
-    return tuple(sorted([*remaining, *moved])), tuple(held)
+    held_out_now = sorted((set(held_out) - set(moved)) | set(freed))
+    return tuple(sorted([*remaining, *moved])), tuple(held_out_now)

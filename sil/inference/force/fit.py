@@ -99,17 +99,17 @@ class Tried(Explanation):
 
     @property
     def rms_n(self) -> float:
-        """Held-out rms [N]."""
+        """HeldOutFits-out rms [N]."""
         return float(np.sqrt(self.squares.sum() / self.samples))
 
     @property
     def over_noise(self) -> float:
-        """Held-out rms over the noise of the balance; 1 = explained."""
+        """HeldOutFits-out rms over the noise of the balance; 1 = explained."""
         return self.rms_n / self.noise_n
 
     @property
     def score(self) -> float:
-        """Held-out cost in log evidence."""
+        """HeldOutFits-out cost in log evidence."""
         return 0.5 * self.count * self.over_noise**2
 
     @cached_property

@@ -12,7 +12,7 @@ from plant.errors import IntegrationError
 from sil.inference.evidence import ChannelMisfit, Misfit
 from sil.inference.refused import Refusals
 from sil.inference.thresholds import LIMITS
-from sil.inference.verdict import Held, by_cause, decide, judge, slight_causes, weigh
+from sil.inference.verdict import HeldOutFits, by_cause, decide, judge, slight_causes, weigh
 
 
 def entry(
@@ -202,9 +202,9 @@ def test_a_fit_that_the_held_out_strokes_refuse_is_counted_once() -> None:
         SimpleNamespace(name=name, shared=[], candidates=[SimpleNamespace(name=name, id=name)])
         for name in ("stribeck", "free_play")
     )
-    known: Held = {}
-    assert judge(fitter, [one], [1], known=known) == []
-    assert judge(fitter, [one, two], [1], known=known) == []
+    known: HeldOutFits = {}
+    assert judge(fitter, [one], [1], evaluated=known) == []
+    assert judge(fitter, [one, two], [1], evaluated=known) == []
     assert {name: item.lost for name, item in fitter.refusals.items()} == {
         "stribeck": 1,
         "free_play": 1,

@@ -1,4 +1,4 @@
-"""Held-out strokes: whole ones, every kind on both sides."""
+"""HeldOutFits-out strokes: whole ones, every kind on both sides."""
 
 from __future__ import annotations
 
