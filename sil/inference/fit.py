@@ -28,7 +28,6 @@ from sil.inference.refused import Refusals, shown
 Show = Callable[[float, float], None]
 """Shows that so much of so much is done."""
 
-BOUNDS_PASSES = 6
 FIRST_DAMPING = 1e-5
 
 
@@ -371,7 +370,7 @@ class _Descent:
         on: Bounds = {}
         which = np.zeros(self.spread.shape, dtype=bool)
         begin = self.spread
-        for _ in range(BOUNDS_PASSES):
+        for _ in range(6):
             normal, gradient, inner = self.arrow(on)
             trial = self.stepped(normal, gradient, moving)
             there = scattered(begin, inner, trial - self.shared)

@@ -23,7 +23,6 @@ from sil.inference.fit import FitResult, Fitter
 from sil.inference.report import Interval
 from sil.inference.workers import spread_out
 
-RISE = 1.92
 PROFILE_STEPS = (1.0, 2.0, 3.0)
 
 
@@ -83,7 +82,7 @@ def _one_side(
         )
 
     base = moved = fitted(fit.shared, fit.stroke, 3)
-    target = RISE * inflation
+    target = 1.92 * inflation
     before = (0.0, 0.0)
     note = ""
     for step in PROFILE_STEPS:

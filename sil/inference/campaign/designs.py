@@ -21,15 +21,9 @@ from sil.campaign.campaign import CampaignStroke, Floats, Record, stroke_columns
 from sil.campaign.simulate import TAIL_S
 from sil.inference.campaign.observations import StrokeObservation, observe
 
-PULSES_S = (0.02, 0.05)
-"""How long a valve is commanded open instead: shorter and longer than it takes to close."""
 LATER_S = 3.0
 """So long a stroke is recorded before it begins instead: a clock that drifts has drifted by then."""
-LOWER = 2.0 / 3.0
-"""Share of the pressure above atmosphere that is tried too where all strokes had one supply."""
-TRAVEL = 0.9
-"""Share of the stroke that the stay must make with the given parameters."""
-HELD = {
+CHAMBERS = {
     "fixed": ("1", "2"),
     "N-B": ("B", "N"),
     "N-F": ("F", "N"),
@@ -45,7 +39,7 @@ def designs(
     """Return strokes that the rig can do, each once: what was measured, varied.
 
     Kinds, loads and springs as measured; supply pressures from the lowest to the highest one that
-    was; the driving valve as commanded, LATER_S later, or open for PULSES_S; the opposite chamber
+    was; the driving valve as commanded, LATER_S later, or open for 20 or 50 ms, less and more than it takes to close; the opposite chamber
     charged and vented as the stroke begins, or not. folder: of their files; every_rest: with the shortest and the
     longest rest, otherwise with the first one.
     """
@@ -98,7 +92,7 @@ def _supplies(measured: Sequence[StrokeConditions]) -> list[float]:
     distinct = sorted({c.supply_pressure_pa for c in measured})
     if len(distinct) == 1:
         atmosphere = measured[0].atmosphere_pa
-        return [atmosphere + LOWER * (distinct[0] - atmosphere), *distinct]
+        return [atmosphere + 2.0 / 3.0 * (distinct[0] - atmosphere), *distinct]
     return sorted({distinct[0], distinct[len(distinct) // 2], distinct[-1]})
 
 
@@ -107,7 +101,7 @@ def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
 
     Only where that chamber holds the piston where the stroke begins.
     """
-    driving, opposite = HELD[base.kind]
+    driving, opposite = CHAMBERS[base.kind]
     begins = [when for when, valve, duty in base.commands if valve == driving and duty > 0.0]
     at_rest = base.start_offset_m == 0.0 and not base.charged_before
     if begins and at_rest and all(valve != opposite for _, valve, _ in base.commands):
@@ -116,14 +110,14 @@ def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
 
 
 def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
-    """Yield the commands with the driving valve open for PULSES_S instead."""
-    driving = HELD[base.kind][0]
+    """Yield the commands with the driving valve open for 20 or 50 ms instead."""
+    driving = CHAMBERS[base.kind][0]
     driving_commands = [(when, duty) for when, valve, duty in base.commands if valve == driving]
     if not driving_commands or driving_commands[0][1] <= 0.0:
         return
     others = [command for command in base.commands if command[1] != driving]
     begin_s = driving_commands[0][0]
-    for pulse_s in PULSES_S:
+    for pulse_s in (0.02, 0.05):
         pulse = [(begin_s, driving, FULL_DUTY), (round(begin_s + pulse_s, 6), driving, 0.0)]
         yield tuple(sorted([*others, *pulse]))
 
@@ -142,7 +136,7 @@ def imagined(
 ) -> list[StrokeObservation]:
     """Return strokes as they would be observed, with the channels and the noise of measured ones.
 
-    What the parameters cannot simulate is left out, and a stroke that does not arrive.
+    Left out is what the parameters cannot simulate, and a stroke of less than nine tenths.
     """
     noise = {c.name: c.noise for stroke in strokes for c in stroke.channels}
     internal = any(stroke.internal is not None for stroke in strokes)
@@ -157,7 +151,7 @@ def imagined(
         time_s = np.arange(round(max(end_s, last_s + TAIL_S) * rate_hz) + 1) / rate_hz
         with suppress(IntegrationError):
             stroke = simulate(parameters, entry.conditions, time_s)
-            if np.ptp(stroke.position_m) < TRAVEL * stroke_m[entry.conditions.system]:
+            if np.ptp(stroke.position_m) < 0.9 * stroke_m[entry.conditions.system]:
                 continue
             columns = stroke_columns(stroke)
             record = Record(Path(entry.file), _recorded(columns, set(noise), internal))

@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from sil.inference.campaign.observations import Channel
     from sil.inference.campaign.one_equation import Alone
     from sil.inference.report import Interval
-STROKES_DRAWN = 3
 BEFORE, AFTER = "healthy model", "extended model"
 UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
-REDS = ("#fff7ec", "#fdd49e", "#fc8d59", "#d7301f", "#7f0000")
-RMS = ColourScale("log10 of the rms", -0.05, 1.5, REDS)
+RMS = ColourScale(
+    "log10 of the rms", -0.05, 1.5, ("#fff7ec", "#fdd49e", "#fc8d59", "#d7301f", "#7f0000")
+)
 
 
 def worst(result: Diagnosis) -> list[int]:
@@ -50,7 +50,7 @@ def worst(result: Diagnosis) -> list[int]:
     chosen: dict[str, int] = {}
     for k in sorted(strokes, key=lambda k: -squares[k]):
         chosen.setdefault(result.model.strokes[k].entry.label, k)
-    return list(chosen.values())[:STROKES_DRAWN]
+    return list(chosen.values())[:3]
 
 
 def strokes_figure(result: Diagnosis) -> Figure:

@@ -18,15 +18,6 @@ from sil.campaign.campaign import Floats
 INTERNAL_SD_M = 3e-5
 """Expected scatter of one published position: timer tick and a recorder's step of 0.1 ms."""
 
-USUAL_STEP_S = 1e-4
-SLOWEST_S = 0.005
-"""Longest step of a recorder that dates publications: half their period."""
-
-RESTING_M = 1e-7
-"""A position that changes less from pulse to pulse is at rest."""
-
-FEWEST_PUBLICATIONS = 4
-
 
 @dataclass(frozen=True)
 class InternalSamples:
@@ -43,16 +34,17 @@ class InternalSamples:
 def internal_samples(time_s: Floats, values: Floats) -> InternalSamples | None:
     """Return the publications in values [n] in m at time_s [n], by their steps.
 
-    None if it hardly moves, or is recorded too slowly to say when they appeared.
+    None if it hardly moves, or is recorded in steps of more than half their period (5 ms).
     """
-    if float(time_s[1] - time_s[0]) > SLOWEST_S:
+    if float(time_s[1] - time_s[0]) > 0.005:
         return None
     edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
-    if len(edges) < FEWEST_PUBLICATIONS:
+    if len(edges) < 4:
         return None
     step_s = float(time_s[1] - time_s[0])
     slope_m_s = np.abs(np.gradient(values[edges], time_s[edges]))
-    late_s = (max(0.0, step_s**2 - USUAL_STEP_S**2) / 12.0) ** 0.5
+    # beyond the usual recorder's step of 0.1 ms, which the expected scatter holds
+    late_s = (max(0.0, step_s**2 - 1e-4**2) / 12.0) ** 0.5
     sd_m = np.hypot(INTERNAL_SD_M, slope_m_s * late_s)
     return InternalSamples(time_s[edges] - 0.5 * step_s, values[edges], sd_m)
 
@@ -86,7 +78,8 @@ def internal_prediction(
     true_m = np.interp(ticks + 0.5 * chain.sensor.t_mid_s, time_s, position_m)
     warm = chain.sensor.duration_s(true_m, chain.coil_temperature_k)
     if rounded:
-        resting = np.abs(np.diff(true_m, prepend=true_m[0])) < RESTING_M
+        # less than 0.1 um from pulse to pulse
+        resting = np.abs(np.diff(true_m, prepend=true_m[0])) < 1e-7
         warm = np.where(resting, chain.sensor.ticks(warm) * chain.sensor.tick_s, warm)
     observed = chain.calibration.position_m(warm, chain.measured_temperature_k)
     response = _impulse_response(chain.filter_order, chain.cutoff_hz, period, count)

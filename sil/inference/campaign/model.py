@@ -25,13 +25,8 @@ from sil.inference.candidate import Candidate, is_scale, log_size, scaled_of
 from sil.inference.problem import Block, ChannelPart, Problem
 from sil.inference.spread import Spread
 
-NS = 1e9
-
 DIFFERENCE = 0.05
 """Step of the one-sided differences, in prior standard deviations of the quantity."""
-
-EFFECT_STEP = 0.005
-"""Step of the differences of effect parameters, in typical sizes."""
 
 
 Moved = Callable[[str, float], Setup]
@@ -141,7 +136,7 @@ class CampaignModel(Problem):
         prediction has kinks, and unlike steps would make the two look distinguishable.
         """
         if not tolerance:
-            return EFFECT_STEP
+            return 0.005  # small against the curvature, large against rounding
         step = DIFFERENCE * self.spread.size(tolerance)
         return float(step / (log_size(parameter) if is_scale(parameter) else parameter.typical))
 
@@ -351,4 +346,4 @@ def channel_parts(stroke: StrokeObservation, residual: Floats) -> Iterator[tuple
 
 def _delay_s(setup: Setup, instant: str) -> float:
     timing = setup.timing
-    return (timing.rise_ns if instant == "rise" else timing.fall_ns) / NS
+    return (timing.rise_ns if instant == "rise" else timing.fall_ns) / 1e9

@@ -46,7 +46,6 @@ PRESSURE = (
     "towards decreasing position; without it, pressure is a condition only",
     "gauge and absolute pressure differ by an offset only: either will do",
 )
-DRAWN = 4000
 
 
 def unit_of(name: str) -> str:
@@ -172,7 +171,7 @@ def _figure(
     for file, columns in list(zip(files, tables, strict=True))[:4]:
         count = len(next(iter(columns.values())))
         x = np.asarray(columns.get(clock[0], np.arange(float(count))) * clock[1])
-        rows = np.linspace(0, count - 1, min(count, DRAWN)).astype(int)
+        rows = np.linspace(0, count - 1, min(count, 4000)).astype(int)
         panels = [
             Panel(
                 f"{name}: {ours.get(name, 'not used')}",

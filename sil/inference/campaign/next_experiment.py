@@ -42,22 +42,10 @@ from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import Judged, Verdict
 from sil.inference.workers import spread_out
 
-ENOUGH = LIMITS.min_gain
-"""Log evidence at which two hypotheses count as separated."""
-SURE = 3.0
-"""Log evidence that would do if the equations were exact: ENOUGH counts as this much."""
 FEWEST = 2
 """Strokes that are proposed at least: one to fit, and one to judge the fit by."""
 MOST = 12
 """Strokes that are proposed at most."""
-SIZES = (1.0, 0.25)
-"""Sizes of causes that would have to be noticed, in typical ones: the second if all are at the first."""
-SCATTER = 6
-"""Iterations of the fit of a stroke's own scatter."""
-MOST_RIVALS = 4
-"""Hypotheses of a question at most."""
-LEAST = 0.01
-"""Share of a question's information below which a further stroke is not worth its work."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +70,7 @@ class Question:
     hypotheses: tuple[int, ...]
     probabilities: Floats
     pairs: tuple[tuple[int, int], ...]
-    enough: float = ENOUGH
+    enough: float = LIMITS.min_gain
 
 
 @dataclass(frozen=True)
@@ -232,7 +220,7 @@ def next_experiment(
         healthy = Hypothesis.of(verdict.healthy.training)
         enough = LIMITS.needed_gain(len(model.strokes) + MOST)
         hidden: list[Hypothesis] = []
-        for size in SIZES:
+        for size in (1.0, 0.25):  # typical sizes; the smaller one if all are shown at the larger
             hidden = hidden or _hidden(model, healthy, causes, size, enough, workers)
         hypotheses = [healthy, *hidden]
         questions = [_whether(k, enough) for k in range(1, len(hypotheses))]
@@ -280,7 +268,7 @@ def _between(
     asked = {name for group in verdict.rivals for name in group}
     explanations = {leader.name: leader}
     for item in sorted(judged, key=lambda item: item.score):
-        if not item.ids or set(item.ids) >= set(leader.ids) or len(explanations) == MOST_RIVALS:
+        if not item.ids or set(item.ids) >= set(leader.ids) or len(explanations) == 4:
             continue
         if verdict.rivals:
             likely = item.probability >= LIMITS.min_contest_share * leader.probability
@@ -383,7 +371,7 @@ def information(question: Question, distances: Distances) -> float:
 
     distances: log evidence by (true, false); the other way round the same where it is missing.
     """
-    scale = SURE / question.enough
+    scale = 3.0 / question.enough  # if the equations were exact, 3 would be enough
     total = 0.0
     for i, p in zip(question.hypotheses, question.probabilities, strict=True):
         mixture = 0.0
@@ -410,7 +398,7 @@ def _separation(
             model.measure(k, _predicted(model, k, hypotheses[i]))
             everything = range(len(false.shared))
             fit = fitter.fit(
-                false.candidates, start=false.shared, use=[k], iterations=SCATTER, freeze=everything
+                false.candidates, start=false.shared, use=[k], iterations=6, freeze=everything
             )
             spread = fit.stroke[k]
             block = model.linearise(k, false.shared, spread, false.candidates)
@@ -487,7 +475,7 @@ def _chosen(
     while len(picked) < MOST:
         best = max(choices, key=lambda k: value(sums.plus(choices[k])))
         gained = value(sums.plus(choices[best])) - reached
-        if gained < LEAST * most:
+        if gained < 0.01 * most:
             if not picked or len(picked) >= FEWEST:
                 break
             best = picked[0]

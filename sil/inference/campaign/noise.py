@@ -17,18 +17,8 @@ from sil.inference.campaign.observations import Noise, StrokeObservation, kind_o
 ORDER = 3
 DIFFERENCED = 7
 """Samples of a sixth difference."""
-LOWEST = 0.7
-"""Share of the differences that count, the smallest: the others may be motion ..."""
-LOWEST_RMS = 0.5565
-"""... and their rms for a standard normal distribution."""
-UNCERTAINTY = 2.5
-"""Relative standard error of the estimate, times the square root of the number of differences."""
 AGREES = {"position": 0.45, "pressure": 0.03, "oil": 0.05}
 """An estimate this near to what is known already, standard errors aside, does not replace it."""
-FEWEST = 12
-CHANCE = 4.0
-"""Log ratio of the medians of two parts of a white spectrum of a windowed record, at most, times the root of
-their numbers."""
 
 
 def noise_of(values: Floats, time_s: Floats | None = None) -> float:
@@ -52,7 +42,8 @@ def noise_of(values: Floats, time_s: Floats | None = None) -> float:
     power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
     bands = np.array_split(power[len(power) // 2 : -1], 8)
     levels = np.array([np.median(band) for band in bands])
-    chance = np.exp(CHANCE / len(bands[-1]) ** 0.5)
+    # ratio that the medians of two parts of a white spectrum have by chance at most
+    chance = np.exp(4.0 / len(bands[-1]) ** 0.5)
     most = chance * np.sort(levels)[1]
     quiet = [band for band, level in zip(bands, levels, strict=True) if level <= most]
     spectral = float(np.median(np.concatenate(quiet))) / np.log(2.0)
@@ -116,8 +107,9 @@ def _agree(one: Noise, other: Noise, share: float) -> bool:
 
 
 def _noise(differences: Floats, step: float) -> Noise:
-    if len(differences) < FEWEST:
+    if len(differences) < 12:
         return Noise(1.0, step, np.inf)
-    lowest = np.sort(differences)[: int(LOWEST * len(differences))]
-    sd = float(np.sqrt(np.mean(lowest**2))) / LOWEST_RMS / comb(2 * ORDER, ORDER) ** 0.5
-    return Noise(max(sd, step / 12.0**0.5), step, UNCERTAINTY / len(differences) ** 0.5)
+    # the others may be motion; 0.5565 is the rms of these for a standard normal distribution
+    lowest = np.sort(differences)[: int(0.7 * len(differences))]
+    sd = float(np.sqrt(np.mean(lowest**2))) / 0.5565 / comb(2 * ORDER, ORDER) ** 0.5
+    return Noise(max(sd, step / 12.0**0.5), step, 2.5 / len(differences) ** 0.5)

@@ -25,12 +25,6 @@ from sil.inference.campaign.internal import InternalSamples, internal_samples
 NS = 1_000_000_000
 ROOT_12 = 12**0.5
 FINE_S = 2e-4
-POSITION = 1.035
-"""Mean square of the position's residuals over the one that the weights of its samples give ..."""
-POSITION_FLOOR = 0.385**2
-"""... and their mean square with usual noise and sampling, on clean simulated campaigns."""
-SETTLED_S = 0.5
-"""So long after a command, chambers may still fill and vent."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +142,8 @@ def observe(
             # a resting wiper stays on one wire: its samples are one observation, not hundreds
             weights = np.maximum(1.0, _run_lengths(measured, channel_noise.step) / 4.0)
             usual = channel_noise is nominal[kind] and step_s <= FINE_S
-            floor = POSITION_FLOOR if usual else POSITION * float(np.mean(1.0 / weights))
+            # mean squares on clean simulated campaigns
+            floor = 0.385**2 if usual else 1.035 * float(np.mean(1.0 / weights))
         sd = channel_noise.sd * np.sqrt(weights[use])
         size = floor * np.count_nonzero(use)
         channels.append(
@@ -199,7 +194,7 @@ def _thinned(
         opens = duty >= setup.timing.duty_open
         begin = when + 0.004 if opens else when + 0.02
         end = when + (0.11 if opens else 0.06)
-        keep[::coarse] |= ((time_s >= when) & (time_s <= when + SETTLED_S))[::coarse]
+        keep[::coarse] |= ((time_s >= when) & (time_s <= when + 0.5))[::coarse]
         if when:
             keep[fine - 1 :: fine] |= ((time_s >= begin) & (time_s <= end))[fine - 1 :: fine]
     keep[-1] = True

@@ -20,9 +20,6 @@ from sil.inference.campaign.model import CampaignModel
 from sil.inference.campaign.observations import Channel, StrokeObservation
 from sil.inference.fit import FitResult
 
-SMOOTH_SAMPLES = 4.0
-"""Width of the smoothing of the measured position, which is a volume of a chamber."""
-
 
 @dataclass(frozen=True)
 class Alone:
@@ -73,7 +70,7 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
         with suppress(IntegrationError):
             force = position - motion_along(setup, time_s, measured)
     try:
-        predicted = pressures_along(setup, time_s, gaussian_filter1d(position, SMOOTH_SAMPLES))
+        predicted = pressures_along(setup, time_s, gaussian_filter1d(position, 4.0))
     except IntegrationError:
         return Alone(time_s, force, {})
     pressures = {

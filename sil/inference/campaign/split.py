@@ -11,10 +11,7 @@ import numpy as np
 
 from sil.inference.campaign.observations import StrokeObservation
 
-HELD_OUT_SHARE = 1.0 / 3.0
 MOST_TRAINING = 14
-ODD = 1.3
-"""Mean square over the usual one beyond which a stroke is odd."""
 
 
 Stratum = tuple[str, str, bool, str]
@@ -46,7 +43,7 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
         for position, k in enumerate(members)
     )
     queue = [k for _position, _rank, k in ordered]
-    training = min(MOST_TRAINING, n - max(1, round(HELD_OUT_SHARE * n)))
+    training = min(MOST_TRAINING, n - max(1, round(1.0 / 3.0 * n)))
     chosen = _with_every_rest(queue[:training], queue[training:], strokes)
     return tuple(sorted(chosen)), tuple(sorted(set(range(n)) - set(chosen)))
 
@@ -87,7 +84,7 @@ def odd_ones_in(
     many training strokes that have another of their kind are held out instead.
     """
     usual = float(np.median([squares[k] for k in training]))
-    odd = sorted((k for k in held_out if squares[k] > ODD * usual), key=lambda k: -squares[k])
+    odd = sorted((k for k in held_out if squares[k] > 1.3 * usual), key=lambda k: -squares[k])
     moved = odd[: (len(odd) + 1) // 2]
     remaining = list(training)
     freed: list[int] = []
