@@ -69,8 +69,9 @@ class Diagnosis:
     @property
     def headline(self) -> str:
         """The one sentence that a reader needs first."""
-        easiest = sorted(self.detectable, key=lambda item: item.typical_sizes)[:3]
-        return headline(self.verdict.kind, self.causes, list(map(str, easiest)), self.unable)
+        usual = ("piston_leak", "valve_open_delay", "dynamic_friction")
+        sizes = [str(item) for item in self.detectable if item.candidate.id in usual]
+        return headline(self.verdict.kind, self.causes, sizes, self.unable)
 
     def as_json(self) -> dict[str, Any]:
         """Return the object written to diagnosis.json."""

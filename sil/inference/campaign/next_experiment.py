@@ -305,13 +305,13 @@ def _hidden(
 ) -> list[Hypothesis]:
     """Return the healthy unit with each cause that the strokes measured would not show at that size."""
     fitter = Fitter(CampaignModel(model.strokes, model.spread))
-    with_cause = [_with(healthy, candidate, size) for candidate in candidates]
+    with_cause = [healthy_with(healthy, candidate, size) for candidate in candidates]
     prior = np.eye(len(healthy.shared))
 
     def shown(item: Hypothesis) -> float:
         separation = Separation({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
         for k in range(len(model.strokes)):
-            more = _separation(fitter, k, [healthy, item], [_whether(1, enough)])
+            more = separation_by(fitter, k, [healthy, item], [_whether(1, enough)])
             separation = separation if more is None else separation.plus(more)
         return separation.distances()[1, 0]
 
@@ -319,7 +319,7 @@ def _hidden(
     return [item for item, d in zip(with_cause, distances, strict=True) if d < enough]
 
 
-def _with(healthy: Hypothesis, candidate: Candidate, size: float) -> Hypothesis:
+def healthy_with(healthy: Hypothesis, candidate: Candidate, size: float) -> Hypothesis:
     """Return the healthy unit with a cause, at the start of its fits that is next to `size`, in typical ones."""
 
     def scaled(start: tuple[float, ...]) -> Floats:
@@ -382,7 +382,7 @@ def information(question: Question, distances: Distances) -> float:
     return float(total)
 
 
-def _separation(
+def separation_by(
     fitter: Fitter, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
 ) -> Separation | None:
     """Return what stroke k would tell; None if a hypothesis cannot simulate it.
@@ -449,7 +449,7 @@ def _chosen(
     fitter = Fitter(model)
     numbers = range(measured, len(model.strokes))
     separations = spread_out(
-        lambda k: _separation(fitter, k, hypotheses, questions), numbers, workers
+        lambda k: separation_by(fitter, k, hypotheses, questions), numbers, workers
     )
     choices = {
         k: separation

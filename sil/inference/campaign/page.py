@@ -28,7 +28,7 @@ from sil.inference.campaign.figures import (
 )
 from sil.inference.campaign.next_experiment import next_campaign
 from sil.inference.campaign.one_equation import Alone, alone
-from sil.inference.campaign.residuals import Shown, show
+from sil.inference.campaign.residuals import show
 from sil.inference.campaign.terms import form_of
 from sil.inference.refused import Tried
 from sil.inference.report import FALSE_ALARM_LEVEL, Cause
@@ -143,7 +143,7 @@ def write_report(
     write_atomically(folder / "report.html", page)
     return {
         "explanations": [_explanation(item, result) for item in result.judged],
-        "residuals": {"before": _plain(before), "after": _plain(after)},
+        "residuals": {"before": asdict(before), "after": asdict(after)},
         "loop": None if loop is None else asdict(loop),
     }
 
@@ -164,12 +164,6 @@ def _explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
         "refused": counts.refused,
         "parameters": {candidate.name: dict(values) for candidate, values in pairs},
     }
-
-
-def _plain(shown: Shown) -> dict[str, Any]:
-    """Return residuals in plain numbers: standardised rms, and what they depend on."""
-    cross = [{"channels": list(pair), "value": v} for pair, v in shown.cross.items()]
-    return {**asdict(shown), "cross": cross}
 
 
 def _equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:

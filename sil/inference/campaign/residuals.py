@@ -7,8 +7,7 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,25 +33,14 @@ class Relative:
 class Shown:
     """Residuals of a fit in figures.
 
-    by_phase: channel -> phase -> standardised rms; relative; whiteness: lag-one correlation of
-    neighbouring samples; cross: correlation between channels; drift: change of a stroke's rms over
-    the campaign, per stroke; dependence: condition -> level -> rms.
+    by_phase: channel -> phase -> standardised rms; relative: by channel; dependence: condition ->
+    level -> rms; strokes: rms by file.
     """
 
     by_phase: dict[str, dict[str, float]]
     relative: dict[str, Relative]
-    whiteness: dict[str, float]
-    cross: dict[tuple[str, str], float]
-    drift: float
     dependence: dict[str, dict[str, float]]
     strokes: dict[str, float]
-
-    def largest_correlation(self) -> str:
-        """Return the pair of channels with the largest correlation, in words."""
-        if not self.cross:
-            return ""
-        one, two = max(self.cross, key=lambda pair: abs(self.cross[pair]))
-        return f"{one} with {two} {self.cross[one, two]:+.2f}"
 
 
 CONDITIONS: dict[str, Callable[[StrokeConditions], str]] = {
@@ -67,66 +55,45 @@ CONDITIONS: dict[str, Callable[[StrokeConditions], str]] = {
 def show(model: CampaignModel, fit: FitResult) -> Shown:
     """All figures of a fit's residuals."""
     by_phase: dict[str, dict[str, list[Floats]]] = {}
-    cross: dict[tuple[str, str], list[tuple[float, int]]] = {}
-    white: dict[str, list[float]] = {}
     errors: dict[str, list[tuple[float, float]]] = {}
     levels: dict[str, dict[str, list[Floats]]] = {name: {} for name in CONDITIONS}
-    strokes: list[tuple[str, float]] = []
+    strokes: dict[str, float] = {}
     for k, block in fit.blocks.items():
         stroke = model.strokes[k]
         setup, states = model.here(k, fit.shared, fit.stroke[k], fit.candidates)
         phase = phases(stroke.time_s, states, setup)
-        observed: dict[str, Floats] = {}
         for channel, r in channel_parts(stroke, block.residual):
-            name, phase_of_row = channel.name, phase[channel.rows]
+            table = by_phase.setdefault(channel.name, {})
+            phase_of_row = phase[channel.rows]
             for index in np.unique(phase_of_row):
-                table = by_phase.setdefault(name, {})
                 table.setdefault(PHASES[index], []).append(r[phase_of_row == index])
-            raw = np.abs(r * channel.sd)
-            top = float(np.abs(channel.measured).max())
-            errors.setdefault(name, []).append((raw.mean() / top, raw.max() / top))
-            if len(r) > 10 and np.std(r) > 0.0:
-                white.setdefault(name, []).append(_correlation(r[1:], r[:-1]))
-            observed[name] = r
-        for pair in itertools.combinations(observed, 2):
-            one, two = (observed[name] for name in pair)
-            if len(one) == len(two) > 10 and np.std(one) > 0.0:
-                cross.setdefault(pair, []).append((_correlation(one, two), len(one)))
-        joined = np.concatenate(list(observed.values())) if observed else np.zeros(0)
-        strokes.append((stroke.entry.file, _rms(joined)))
+            share = np.abs(r * channel.sd) / float(np.abs(channel.measured).max())
+            errors.setdefault(channel.name, []).append((share.mean(), share.max()))
+        residual = block.residual[: stroke.size]
+        strokes[stroke.entry.file] = _rms([residual])
         for name, level in CONDITIONS.items():
-            levels[name].setdefault(level(stroke.conditions), []).append(joined)
-    rows = [value for _file, value in strokes]
+            levels[name].setdefault(level(stroke.conditions), []).append(residual)
     return Shown(
-        by_phase={
-            name: {phase: _rms(np.concatenate(table[phase])) for phase in PHASES if phase in table}
+        {
+            name: {phase: _rms(table[phase]) for phase in PHASES if phase in table}
             for name, table in by_phase.items()
         },
-        relative={
+        {
             name: Relative(float(np.mean(means)), float(np.max(largest)))
             for name, (means, largest) in ((n, zip(*v, strict=True)) for n, v in errors.items())
         },
-        whiteness={name: float(np.mean(values)) for name, values in white.items()},
-        cross={
-            pair: float(np.average([c for c, _n in values], weights=[n for _c, n in values]))
-            for pair, values in cross.items()
-        },
-        drift=float(np.polyfit(np.arange(len(rows)), rows, 1)[0]) if len(rows) > 2 else 0.0,
-        dependence={
-            name: {level: _rms(np.concatenate(parts)) for level, parts in sorted(table.items())}
+        {
+            name: {level: _rms(parts) for level, parts in sorted(table.items())}
             for name, table in levels.items()
             if len(table) > 1
         },
-        strokes=dict(strokes),
+        strokes,
     )
 
 
-def _rms(values: Floats) -> float:
+def _rms(parts: Sequence[Floats]) -> float:
+    values = np.concatenate(parts)
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-
-
-def _correlation(one: Floats, two: Floats) -> float:
-    return float(np.corrcoef(one, two)[0, 1])
 
 
 @dataclass(frozen=True)
@@ -159,12 +126,7 @@ def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
         if stroke.internal is not None:
             part = block.residual[stroke.size :] * stroke.internal.sd_m
             parts.setdefault("position_internal_m", []).append(part)
-    return {
-        name: float(
-            np.sqrt(sum(float(p @ p) for p in residuals) / max(1, sum(map(len, residuals))))
-        )
-        for name, residuals in parts.items()
-    }
+    return {name: _rms(residuals) for name, residuals in parts.items()}
 
 
 def gain_between(model: CampaignModel, verdict: Verdict[Judged], held_out: tuple[int, ...]) -> Gain:

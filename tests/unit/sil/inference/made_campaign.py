@@ -39,13 +39,12 @@ KINDS = (
 DRIVES = {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}
 
 
-def conditions_of(kind: str, supply_pa: float) -> StrokeConditions:
+def conditions_of(kind: str, supply_pa: float, closes: bool = True) -> StrokeConditions:
     """A plain stroke: open at 10 ms, close at 200 ms."""
     valve = DRIVES[kind]
+    close = ((0.2, valve, 0.0),) if closes else ()
     return StrokeConditions(
-        kind=kind,
-        supply_pressure_pa=supply_pa,
-        commands=((0.01, valve, 0.98), (0.2, valve, 0.0)),
+        kind=kind, supply_pressure_pa=supply_pa, commands=((0.01, valve, 0.98), *close)
     )
 
 
@@ -55,6 +54,7 @@ def made(
     seed: int = 1,
     count: int = 8,
     kinds: Sequence[tuple[str, float]] = KINDS,
+    closes: bool = True,
 ) -> Campaign:
     """Write and read a campaign of `count` strokes under `parameters` (nominal by default)."""
     parameters = parameters or load()
@@ -66,7 +66,7 @@ def made(
     entries = []
     folder.mkdir(parents=True, exist_ok=True)
     for number, (kind, supply_pa) in enumerate(kinds[:count], start=1):
-        conditions = conditions_of(kind, supply_pa)
+        conditions = conditions_of(kind, supply_pa, closes)
         setup = make_setup(parameters, conditions)
         for name, amount in unit.items():
             shift(setup, name, amount)

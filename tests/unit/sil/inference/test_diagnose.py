@@ -63,10 +63,23 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
         tmp_path / "report.html"
     ).read_text(encoding="utf-8")
     after = plain["residuals"]["after"]
-    assert after["relative"]["position_m"]["mean"] < 0.01 and after["cross"]
+    assert after["relative"]["position_m"]["mean"] < 0.01 and after["by_phase"]
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {"strokes.png", "strokes.svg", "phases.png", "phases.svg"} <= set(os.listdir(tmp_path))
     assert "exhaust_clog" in text and "http://" not in text and "https://" not in text
     assert "opc4 diagnose measured/ --model nominal" in text
     again = diagnose(campaign, extended, workers=1)
     assert again.verdict.kind == "consistent"
+
+
+@pytest.mark.parametrize("delay_s", [0.003, 0.006])
+def test_late_valves_without_closing_edges_are_named_or_rivals(tmp_path, delay_s: float) -> None:
+    base = load()
+    hidden = {"valve_open_delay": {"delay_s": Parameter(delay_s, "s", "hidden by the test")}}
+    parameters = ParameterSet(base.name, base.entries, hidden)
+    fixed = (("fixed", 900000.0), ("fixed", 600000.0), ("fixed", 750000.0), ("fixed", 900000.0))
+    campaign = made(tmp_path / "late", parameters, kinds=fixed, closes=False)
+    found = diagnose(campaign, base, workers=1)
+    assert found.verdict.kind != "consistent"
+    rivals = {name for group in found.verdict.rivals for name in group}
+    assert "valve_open_delay" in {*found.verdict.claimed, *rivals}

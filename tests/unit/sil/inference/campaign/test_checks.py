@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
-from plant.parameters import load
-from sil.campaign.campaign import CampaignStroke, Record, load_campaign
+from plant.parameters import Parameter, ParameterSet, load
+from sil.campaign.campaign import CampaignStroke, Record, load_campaign, write_record
 from sil.cli import main
 from sil.inference.campaign.checks import check_record, observed, time_shift
-from tests.unit.sil.inference.made_campaign import conditions_of
+from tests.unit.sil.inference.made_campaign import conditions_of, made
 
 ENTRY = CampaignStroke("stroke_001.csv", "fixed", conditions_of("fixed", 900000.0))
 
@@ -100,3 +100,28 @@ def test_a_shifted_time_base_is_measured(shift: float) -> None:
     found = time_shift({"p": (measured, predicted, time_s)})
     assert found == pytest.approx(shift, abs=2e-4)
     assert time_shift({"p": (predicted + 50.0, predicted, time_s)}) == 0.0
+
+
+def late(parameters: ParameterSet, delay_s: float) -> ParameterSet:
+    effect = {"valve_open_delay": {"delay_s": Parameter(delay_s, "s", "hidden by the test")}}
+    return ParameterSet(parameters.name, parameters.entries, effect)
+
+
+def test_what_all_strokes_share_is_not_taken_off_as_a_shift_of_records(tmp_path) -> None:
+    fixed = (("fixed", 900000.0), ("fixed", 600000.0), ("fixed", 750000.0))
+    campaign = made(tmp_path / "late", late(load(), 0.006), kinds=fixed, closes=False)
+    assert observed(campaign, load())[1] == []
+
+
+def test_a_record_shifted_unlike_the_others_is_put_right(tmp_path) -> None:
+    fixed = (("fixed", 900000.0), ("fixed", 600000.0), ("fixed", 750000.0))
+    campaign = made(tmp_path / "shifted", kinds=fixed)
+    record = campaign.record(campaign.strokes[1])
+    shifted = {
+        name: np.concatenate([np.full(60, record[name][0]), record[name][:-60]])
+        for name in record.columns
+        if name != "time_s"
+    }
+    write_record(campaign.folder / "stroke_002.csv", {"time_s": record.time_s, **shifted})
+    texts = [str(item) for item in observed(load_campaign(campaign.folder), load())[1]]
+    assert len(texts) == 1 and texts[0].startswith("stroke_002.csv: time_s: the record runs +6.")

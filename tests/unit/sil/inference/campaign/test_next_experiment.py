@@ -16,18 +16,18 @@ from sil.inference.campaign.designs import described, designs, imagined
 from sil.inference.campaign.diagnosis import available
 from sil.inference.campaign.model import CampaignModel
 from sil.inference.campaign.next_experiment import (
-    ENOUGH,
     MOST,
     Hypothesis,
     Question,
-    Told,
-    _told,
-    _with,
+    Separation,
+    healthy_with,
     information,
     next_campaign,
     next_experiment,
+    separation_by,
 )
 from sil.inference.fit import Fitter
+from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import Verdict, judge
 from tests.unit.sil.inference.made_campaign import made, model_of
 
@@ -51,8 +51,8 @@ def test_information_lies_between_nothing_and_the_entropy() -> None:
 
 def test_what_separates_another_pair_is_worth_more_than_the_same_again() -> None:
     asked = question(0.4, 0.3, 0.3)
-    same = {pair: 2 * ENOUGH if 0 in pair else 0.0 for pair in asked.pairs}
-    other = dict.fromkeys(asked.pairs, ENOUGH)
+    same = {pair: 2 * LIMITS.min_gain if 0 in pair else 0.0 for pair in asked.pairs}
+    other = dict.fromkeys(asked.pairs, LIMITS.min_gain)
     assert information(asked, other) > information(asked, same)
 
 
@@ -61,14 +61,16 @@ def test_evidence_of_strokes_together_is_that_of_one_fit_to_all_of_them() -> Non
     rng = np.random.default_rng(5)
     prior = np.diag(rng.uniform(1.0, 3.0, 2))
     strokes = [(rng.normal(size=6), rng.normal(size=(6, 2))) for _ in range(3)]
-    told = Told({(0, 1): 0.0}, {(0, 1): np.zeros(2)}, {(0, 1): prior})
+    separation = Separation({(0, 1): 0.0}, {(0, 1): np.zeros(2)}, {(0, 1): prior})
     for r, j in strokes:
-        told = told.plus(Told({(0, 1): r @ r}, {(0, 1): j.T @ r}, {(0, 1): j.T @ j}))
+        separation = separation.plus(
+            Separation({(0, 1): r @ r}, {(0, 1): j.T @ r}, {(0, 1): j.T @ j})
+        )
     root = np.sqrt(prior)
     j = np.vstack([*(j for _r, j in strokes), root])
     r = np.concatenate([*(r for r, _j in strokes), np.zeros(2)])
     left = r - j @ np.linalg.lstsq(j, r, rcond=None)[0]
-    assert told.distances()[0, 1] == pytest.approx(0.5 * left @ left)
+    assert separation.distances()[0, 1] == pytest.approx(0.5 * left @ left)
 
 
 def test_a_cause_that_a_tolerance_imitates_tells_less_than_one_that_none_does(clean_model) -> None:
@@ -78,13 +80,13 @@ def test_a_cause_that_a_tolerance_imitates_tells_less_than_one_that_none_does(cl
 
     def distance(name: str) -> float:
         prior = np.eye(len(healthy.shared))
-        both = [healthy, _with(healthy, causes[name], 0.25)]
+        both = [healthy, healthy_with(healthy, causes[name], 0.25)]
         asked = [Question((1, 0), np.array([0.5, 0.5]), ((1, 0),))]
         model = CampaignModel(clean_model.strokes, clean_model.spread)
-        told = _told(Fitter(model), 0, both, asked)
-        assert told is not None
-        start = Told({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
-        return start.plus(told).distances()[1, 0]
+        separation = separation_by(Fitter(model), 0, both, asked)
+        assert separation is not None
+        start = Separation({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
+        return start.plus(separation).distances()[1, 0]
 
     delay, leak = distance("valve_open_delay"), distance("piston_leak")
     # 0.45 ms is what a tolerance of 0.3 ms and scatter of 0.2 ms make: some two in squared deviations
