@@ -97,7 +97,7 @@ def _supplies(measured: Sequence[StrokeConditions]) -> list[float]:
 
 
 def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
-    """Yield the stroke against a chamber that stands at the supply and is vented as it begins.
+    """Yield the stroke against a chamber at supply pressure and is vented as it begins.
 
     Only where that chamber holds the piston where the stroke begins.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.sil.inference.made_campaign import made, model_of
+from tests.support.made_campaign import made, model_of
 
 
 @pytest.fixture(scope="session")

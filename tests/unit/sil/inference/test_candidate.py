@@ -12,7 +12,7 @@ from plant.kernel.layout import Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from sil.inference.candidate import candidates, compatible
-from tests.unit.sil.inference.made_campaign import conditions_of
+from tests.support.made_campaign import conditions_of
 
 INERT = (
     Parameters.bump_x,

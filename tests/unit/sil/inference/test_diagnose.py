@@ -11,7 +11,7 @@ from plant.parameters import Parameter, ParameterSet, load
 from sil.files.output_folder import finite
 from sil.inference.campaign.diagnosis import diagnose
 from sil.inference.campaign.page import write_report
-from tests.unit.sil.inference.made_campaign import made
+from tests.support.made_campaign import made
 
 pytestmark = pytest.mark.slow
 

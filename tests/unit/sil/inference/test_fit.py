@@ -13,7 +13,7 @@ from sil.inference.candidate import candidates
 from sil.inference.evidence import misfit, strained
 from sil.inference.fit import Fitter
 from sil.inference.screening import Screening, screen
-from tests.unit.sil.inference.made_campaign import made, model_of
+from tests.support.made_campaign import made, model_of
 
 ALL = {item.name: item for item in candidates(("internal position", "length stroke"))}
 

@@ -13,7 +13,7 @@ from sil.inference.campaign.diagnosis import diagnose
 from sil.inference.campaign.page import write_report
 from tests.physics.test_cylinder import model
 from tests.physics.test_proportional_valve import proportional
-from tests.unit.sil.inference.made_campaign import made
+from tests.support.made_campaign import made
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from plant.parameters import Parameter, ParameterSet, load
 from sil.campaign.campaign import CampaignStroke, Record, load_campaign, write_record
 from sil.cli import main
 from sil.inference.campaign.checks import check_record, observed, time_shift
-from tests.unit.sil.inference.made_campaign import conditions_of, made
+from tests.support.made_campaign import conditions_of, made
 
 ENTRY = CampaignStroke("stroke_001.csv", "fixed", conditions_of("fixed", 900000.0))
 

@@ -9,7 +9,7 @@ from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
 from sil.inference.campaign.internal import internal_prediction, internal_samples
-from tests.unit.sil.inference.made_campaign import conditions_of
+from tests.support.made_campaign import conditions_of
 
 TIME_S = np.arange(3001) * 1e-4
 

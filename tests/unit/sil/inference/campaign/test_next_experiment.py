@@ -29,7 +29,7 @@ from sil.inference.campaign.next_experiment import (
 from sil.inference.fit import Fitter
 from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import Verdict, judge
-from tests.unit.sil.inference.made_campaign import made, model_of
+from tests.support.made_campaign import made, model_of
 
 
 def question(*probabilities: float) -> Question:

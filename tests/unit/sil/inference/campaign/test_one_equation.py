@@ -7,7 +7,7 @@ import pytest
 from plant.parameters import load
 from sil.inference.campaign.one_equation import alone
 from sil.inference.fit import Fitter
-from tests.unit.sil.inference.made_campaign import made, model_of
+from tests.support.made_campaign import made, model_of
 
 FORCE = "force balance of the stay"
 CHAMBERS = ("mass balance of chamber 1", "mass balance of chamber 2")

@@ -8,7 +8,7 @@ from plant.batch.prediction import Predictor
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from sil.inference.campaign.phases import PHASES, phases
-from tests.unit.sil.inference.made_campaign import conditions_of
+from tests.support.made_campaign import conditions_of
 
 TIME_S = np.arange(1, 3000) * 1e-4
 

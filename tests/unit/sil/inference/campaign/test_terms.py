@@ -17,7 +17,7 @@ from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
 from sil.inference.campaign.terms import term_candidate
-from tests.unit.sil.inference.made_campaign import conditions_of
+from tests.support.made_campaign import conditions_of
 
 SAMPLES = (np.arange(1, 400) * 500_000).astype(np.int64)
 
