@@ -109,7 +109,7 @@ def _noticeable(cause: dict[str, Any], found: dict[str, Any]) -> bool:
 
     Those say nothing of a cause with other values of its other parameters.
     """
-    limits = found["smallest_noticed"].get(cause["id"])
+    limits = next((item for item in found["detectable"] if item["id"] == cause["id"]), None)
     if limits is None:
         return False
     for name, value in limits.get("others", {}).items():
@@ -118,8 +118,8 @@ def _noticeable(cause: dict[str, Any], found: dict[str, Any]) -> bool:
             return False
     own = cause["parameters"].get(limits["parameter"])
     if own is None:
-        return bool(limits["size"] < 1.0)
-    return bool(abs(own["value"] - limits["neutral"]) > abs(limits["value"] - limits["neutral"]))
+        return bool(limits["typical_sizes"] < 1.0)
+    return bool(abs(own["value"] - limits["neutral"]) > limits["size"])
 
 
 def cells() -> list[tuple[int, int, bool]]:
