@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from typing import Final, NamedTuple
 
-from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader
+from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader, leading_bytes
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.source import Chunk, Line
 from sil.logs.times import (
@@ -23,25 +23,6 @@ from sil.logs.times import (
 )
 from sil.logs.writer import RelativeWriter
 
-_HEADER: Final = re.compile(
-    r"\s*(?:date\s|base\s+(?:hex|dec)|begin\s+triggerblock|(?:no\s+)?internal\s+events)",
-    re.IGNORECASE,
-)
-_EVENT: Final = re.compile(
-    r"\s*\d+\.\d+\s+(?:CANFD\s+)?\d+\s+(?:(?:Rx|Tx)\s+)?(?:[0-9A-F]+x?\s+(?:Rx|Tx)|ErrorFrame)\b",
-    re.IGNORECASE,
-)
-_BASE: Final = re.compile(
-    r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?\s*\Z", re.IGNORECASE
-)
-_DATE: Final = re.compile(r"date\s+(.*)\Z", re.IGNORECASE)
-_OTHER_HEADER: Final = re.compile(
-    r"(?:(?:no\s+)?internal\s+events\s+logged|end\s+triggerblock)\s*\Z", re.IGNORECASE
-)
-_BLOCK: Final = re.compile(r"begin\s+triggerblock\b(.*)\Z", re.IGNORECASE)
-_START: Final = re.compile(r"start of measurement", re.IGNORECASE)
-"""At time 0 in a trigger block: times count from the date of the block (so in python-can's logs)."""
-
 _PLAIN: Final = re.compile(
     r"^(?: *(\d{1,9})\.(\d{1,9}) +(0|[1-9]\d{0,3}) +([0-9A-F]{1,8}x?) +(Rx|Tx) +d ([0-8])"
     r"((?: [0-9A-F]{2}){0,8})(?: +Length = [^\n]*)?[ \r]*|([^\n]*))$",
@@ -49,7 +30,6 @@ _PLAIN: Final = re.compile(
 )
 """A common line by its parts; any other line in one piece."""
 
-_ORIGIN: Final = re.compile(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z")
 _FLAG_REMOTE: Final = 0x10
 _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 
@@ -57,32 +37,20 @@ _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 _CLASSIC = re.compile(
     r"(\d{1,5})\s+([0-9A-Fa-f]{1,10})(x?)\s+(Rx|TxRq|Tx)\s+([dr])(?:\s+(.*))?\Z", re.IGNORECASE
 )
-_CLASSIC_LOOK = re.compile(
-    r"\d+\s+\S+\s+(?:Rx|Tx|TxRq)\b|\d+\s+[0-9A-F]+x?\s+\S+\s+[dr]\b|\d+\s+[0-9A-F]{1,8}x?(?:\s+[RT])?\s*\Z",
-    re.IGNORECASE,
-)
-_ERROR = re.compile(
-    r"(\d{1,5})\s+ErrorFrame\b|CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b", re.IGNORECASE
-)
 _FD = re.compile(
     r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+([0-9A-F]{1,8})(x?)\s+(?:(?![01]\s+[01]\s+(?:[0-9A-F]|1[0-5])\s+\d)"
     r"([A-Za-z_]\S*)\s+)?([01])\s+([01])\s+([0-9A-F]|1[0-5])\s+(\d{1,2})(?:\s+(.*))?\Z",
     re.IGNORECASE,
 )
-_HEX_BYTE = re.compile(r"[0-9A-Fa-f]{2}\Z")
-_DECIMAL_BYTE = re.compile(r"\d{1,3}\Z")
 _HEX_WORD = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
-_NAMED: Final = (
-    (_START, ""),
-    (re.compile(r"CAN\s+\d+\s+Status:|\d+\s+Statistic:|CAN\s+\d+\s+", re.I), "status line"),
-    (re.compile(r"\d+\s+J1939TP\b", re.I), "reassembled J1939 message"),
-    (re.compile(r"\d+\s+OverloadFrame\b", re.I), "overload frame"),
-    (re.compile(r"CANXL\b", re.I), "CAN XL frame"),
-    (
-        re.compile(r"\d+\s+[A-Za-z_]\w*x?\s+(?:Rx|Tx|TxRq)\s", re.I),
-        "frame with a symbolic name instead of its identifier",
-    ),
-)
+_OTHER_EVENTS: Final = {
+    r"start of measurement": "",
+    r"CAN\s+\d+\s+|\d+\s+Statistic:": "status line",
+    r"\d+\s+J1939TP\b": "reassembled J1939 message",
+    r"\d+\s+OverloadFrame\b": "overload frame",
+    r"CANXL\b": "CAN XL frame",
+    r"\d+\s+[A-Z_]\w*x?\s+(?:Rx|Tx|TxRq)\s": "frame with a symbolic name instead of its identifier",
+}
 
 
 class _Event(NamedTuple):
@@ -102,7 +70,11 @@ def parse_event(text: str, decimal: bool) -> _Event:
     classic = _CLASSIC.match(text)
     if classic:
         return _classic(classic, decimal)
-    error = _ERROR.match(text)
+    error = re.match(
+        r"(\d{1,5})\s+ErrorFrame\b|CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b",
+        text,
+        re.IGNORECASE,
+    )
     if error:
         channel, fd = error[1] or error[2], error[1] is None
         direction = error[3].capitalize() if (error[3] or "").lower() in ("rx", "tx") else ""
@@ -110,10 +82,15 @@ def parse_event(text: str, decimal: bool) -> _Event:
         return _Event(frame._replace(direction=direction))
     if text[:5].upper() == "CANFD":
         return _fd(text)
-    for pattern, name in _NAMED:
-        if pattern.match(text):
+    for pattern, name in _OTHER_EVENTS.items():
+        if re.match(pattern, text, re.IGNORECASE):
             raise NotAFrame(name)
-    if _CLASSIC_LOOK.match(text):
+    if re.match(
+        r"\d+\s+\S+\s+(?:Rx|Tx|TxRq)\b|\d+\s+[0-9A-F]+x?\s+\S+\s+[dr]\b|"
+        r"\d+\s+[0-9A-F]{1,8}x?(?:\s+[RT])?\s*\Z",
+        text,
+        re.IGNORECASE,
+    ):
         raise ValueError(f"{text[:40]!r} is not a whole frame")
     raise NotAFrame("event of another kind")
 
@@ -123,17 +100,6 @@ def _direction(word: str) -> str:
     if word.lower() == "txrq":
         raise NotAFrame("request to send")
     return word.capitalize()
-
-
-def _bytes(words: list[str], decimal: bool) -> bytes:
-    """Return the bytes at the beginning of a list of words."""
-    pattern, base = (_DECIMAL_BYTE, 10) if decimal else (_HEX_BYTE, 16)
-    values = []
-    for word in words:
-        if not pattern.match(word) or int(word, base) > 255:
-            break
-        values.append(int(word, base))
-    return bytes(values)
 
 
 def _classic(match: re.Match[str], decimal: bool) -> _Event:
@@ -154,7 +120,7 @@ def _classic(match: re.Match[str], decimal: bool) -> _Event:
     if decimal and not code_text.isdecimal():
         raise ValueError(f"length {code_text} ; expected a decimal number as the header states")
     code = int(code_text, base)
-    data = _bytes(words[1:], decimal)
+    data = leading_bytes(words[1:], base)
     length, raw_dlc, fd, remark = code, 0, False, ""
     if code > 8 and len(data) <= 8:
         length, raw_dlc = 8, code
@@ -175,7 +141,7 @@ def _fd(text: str) -> _Event:
     decimal, length = len(code_text) == 2, int(length_text)
     code = int(code_text, 10 if decimal else 16)
     words = (rest or "").split()
-    data = _bytes(words[:length], False)
+    data = leading_bytes(words[:length])
     if len(data) != length:
         raise ValueError(f"{len(data)} bytes of data; expected {length}")
     flags_text = words[length + 2] if len(words) > length + 2 else ""
@@ -228,7 +194,8 @@ class AscReader(TextReader):
         except NotAFrame as other:
             if line.unterminated and other.name:
                 raise ValueError("the last line has no end and may be cut short") from None
-            if _START.match(timed[2]) and time_ns == 0 and self._block_ns is not None:
+            # "Start of measurement" at 0: times count from the date of the block (python-can)
+            if not other.name and time_ns == 0 and self._block_ns is not None:
                 self._count_from(self._block_ns)
             raise
         if line.unterminated and not event.whole:
@@ -241,30 +208,33 @@ class AscReader(TextReader):
         """Take in a line without a time. Raises ValueError if it is no header."""
         report = self._report
         if text.startswith("//"):
-            origin = _ORIGIN.match(text)
+            origin = re.match(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z", text)
             if origin:
                 self._origin_ns = parse_decimal_ns(origin[1])
                 report.time_base = "absolute"
                 report.notes[:] = [note for note in report.notes if note != ZONE_NOTE]
             return
-        base = _BASE.match(text)
+        pattern = r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?\s*\Z"
+        base = re.match(pattern, text, re.IGNORECASE)
         if base:
             self._decimal = base[1].lower() == "dec"
             self._deltas = (base[2] or "").lower() == "relative"
             if self._deltas:
                 report.time_base = "delta"
             return
-        date = _DATE.match(text)
+        date = re.match(r"date\s+(.*)\Z", text, re.IGNORECASE)
         if date:
             start_ns = parse_date(date[1])
             if start_ns is None:
                 report.note(f"date {date[1][:40]!r} was not understood; times count from the start")
             self._count_from(start_ns)
             return
-        block = _BLOCK.match(text)
+        block = re.match(r"begin\s+triggerblock\b(.*)\Z", text, re.IGNORECASE)
         if block:
             self._block_ns = parse_date(block[1])
-        elif not _OTHER_HEADER.match(text):
+        elif not re.match(
+            r"(?:(?:no\s+)?internal\s+events\s+logged|end\s+triggerblock)\s*\Z", text, re.IGNORECASE
+        ):
             raise ValueError(f"{text[:40]!r} is no ASC line")
 
     def _count_from(self, start_ns: int | None) -> None:
@@ -292,11 +262,9 @@ class AscWriter(RelativeWriter):
     def _text(self, frame: LogFrame, time_ns: int) -> str:
         stamp = format_ns(time_ns, 9 if time_ns % 1000 else self._decimals)
         number = self.channel_number(frame.channel)
-        if not frame.direction and not frame.error:
-            self.losses["direction not recorded, written as Rx"] += 1
-        direction = frame.direction or "Rx"
         if frame.error:
-            return self._error(stamp, number, direction, frame)
+            return self._error(stamp, number, frame)
+        direction = self.direction(frame)
         identifier = f"{frame.can_id:X}{'x' if frame.extended else ''}"
         if frame.fd:
             flags = _FLAG_REMOTE if frame.remote else 0
@@ -313,13 +281,12 @@ class AscWriter(RelativeWriter):
             line += f" {frame.data.hex(' ').upper()}"
         return line + "\n"
 
-    def _error(self, stamp: str, number: int, direction: str, frame: LogFrame) -> str:
-        if frame.can_id or frame.data or frame.extended or frame.remote:
-            self.losses["error frame class and details"] += 1
+    def _error(self, stamp: str, number: int, frame: LogFrame) -> str:
+        lost = frame.can_id or frame.data or frame.extended or frame.remote
+        self.lose(lost, "error frame class and details")
         if frame.fd:
-            return f"{stamp:>11} CANFD {number:>3} {direction:<4} ErrorFrame\n"
-        if frame.direction:
-            self.losses["direction of an error frame"] += 1
+            return f"{stamp:>11} CANFD {number:>3} {frame.direction or 'Rx':<4} ErrorFrame\n"
+        self.lose(frame.direction, "direction of an error frame")
         return f"{stamp:>11} {number:<2} ErrorFrame\n"
 
     def _finish(self) -> None:
@@ -328,8 +295,12 @@ class AscWriter(RelativeWriter):
 
 def _recognise(head: bytes) -> bool:
     """Return whether one of the first lines is a header or frame line of an ASC log."""
-    first = head.decode("latin-1").split("\n")[:200]
-    return any(_HEADER.match(text) or _EVENT.match(text) for text in first)
+    mark = re.compile(
+        r"\s*(?:date\s|base\s+(?:hex|dec)|begin\s+triggerblock|(?:no\s+)?internal\s+events|"
+        r"\d+\.\d+\s+(?:CANFD\s+)?\d+\s+(?:(?:Rx|Tx)\s+)?(?:[0-9A-F]+x?\s+(?:Rx|Tx)|ErrorFrame)\b)",
+        re.IGNORECASE,
+    )
+    return any(map(mark.match, head.decode("latin-1").split("\n")[:200]))
 
 
 FORMAT: Final = Format("asc", (".asc",), _recognise, AscReader, AscWriter)

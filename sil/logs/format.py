@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import takewhile
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
@@ -151,6 +152,13 @@ class TextReader(ABC):
             frames.append(frame)
             locations.append(chunk.line + index)
         return Batch(frames, locations)
+
+
+def leading_bytes(words: Sequence[str], base: int = 16) -> bytes:
+    """Return the bytes that the first of the words are: two hex digits or a decimal number each."""
+    digits = re.compile("[0-9A-Fa-f]{2}" if base == 16 else r"\d{1,3}")
+    values = (int(word, base) for word in takewhile(digits.fullmatch, words))
+    return bytes(takewhile(range(256).__contains__, values))
 
 
 def time_base(time_ns: int) -> str:

@@ -10,7 +10,15 @@ from collections.abc import Sequence
 from typing import Final
 
 from can_dbc.errors import InputError
-from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader, time_base
+from sil.logs.format import (
+    ZONE_NOTE,
+    Batch,
+    Format,
+    NotAFrame,
+    TextReader,
+    leading_bytes,
+    time_base,
+)
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, utc_ns
@@ -24,25 +32,19 @@ _VERSION_1: Final = re.compile(
     r"(\d+)\)\s+(\d+(?:\.\d+)?)\s+(?:(?:(\d{1,2})\s+)?(Rx|Tx|Warng|Error)\s+)?"
     r"([0-9A-F]{4,8})\s+(?:-\s+)?(\d{1,2})(?:\s+(.*))?\Z"
 )
-_VERSION_1_LOOK: Final = re.compile(r"\s*\d+\)\s+\d+(?:\.\d+)?\s+\S+\s+\S")
-_TIME_TEXT: Final = r" *\d+\)? +(\d{1,12})\.(\d{1,6})"
-_DATA_TEXT: Final = r" +([0-8])((?: +[0-9A-F]{2}){0,8})[ \r]*"
-_ID_TEXT: Final = r"([0-9A-F]{4}|[0-9A-F]{8})"
 _PLAIN: Final = {
-    "1.1": re.compile(
-        rf"^(?:{_TIME_TEXT}()(?= +\w+ +{_ID_TEXT} ) +(Rx|Tx) +\w+{_DATA_TEXT}|([^\n]*))$",
+    version: re.compile(
+        rf"^(?: *\d+\)? +(\d{{1,12}})\.(\d{{1,6}}){middle} +([0-8])((?: +[0-9A-F]{{2}}){{0,8}})[ \r]*"
+        r"|([^\n]*))$",
         re.MULTILINE,
-    ),
-    "2.1": re.compile(
-        rf"^(?:{_TIME_TEXT} +DT +([1-9]\d?) +{_ID_TEXT} +(Rx|Tx) +-{_DATA_TEXT}|([^\n]*))$",
-        re.MULTILINE,
-    ),
+    )
+    for version, middle in (
+        ("1.1", r"()(?= +\w+ +([0-9A-F]{4}|[0-9A-F]{8}) ) +(Rx|Tx) +\w+"),
+        ("2.1", r" +DT +([1-9]\d?) +([0-9A-F]{4}|[0-9A-F]{8}) +(Rx|Tx) +-"),
+    )
 }
 """Common lines: time, bus, identifier, direction, length, data; of any other line, all of it."""
 
-_START_TEXT: Final = re.compile(
-    r";\s*Start time:\s*(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
-)
 _DEFAULT_COLUMNS: Final = {"2.0": "N,O,T,I,d,l,D", "2.1": "N,O,T,B,I,d,R,L,D"}
 _FD_TYPES: Final = {
     "FD": (False, False),
@@ -50,8 +52,8 @@ _FD_TYPES: Final = {
     "FE": (True, True),
     "BI": (False, True),
 }
-_OTHER_TYPES: Final = {"ST": "status line", "EC": "error counter line", "EV": "event"}
-_HEX_BYTE: Final = re.compile(r"[0-9A-F]{2}\Z", re.IGNORECASE)
+"""Bit rate switch and error state of the types of CAN FD frames."""
+
 _IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
 
 
@@ -111,7 +113,8 @@ class TrcReader(TextReader):
             self._columns = columns
             report.note(ZONE_NOTE)
         elif report.start_ns is None:
-            start = _START_TEXT.match(text)
+            date = r"(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
+            start = re.match(rf";\s*Start time:\s*{date}", text)
             if start:
                 day, month, year, hour, minute, second, milli = map(int, start.groups())
                 report.start_ns = utc_ns(year, month, day, hour, minute, second, milli * NS_PER_MS)
@@ -149,8 +152,8 @@ class TrcReader(TextReader):
         if len(words) <= type_at:
             raise ValueError(f"{text[:40]!r} is no TRC line")
         kind = words[type_at]
-        if kind in _OTHER_TYPES:
-            raise NotAFrame(_OTHER_TYPES[kind])
+        if other := {"ST": "status line", "EC": "error counter line", "EV": "event"}.get(kind):
+            raise NotAFrame(other)
         if kind not in _FD_TYPES and kind not in ("DT", "RR", "ER"):
             raise ValueError(f"{kind[:10]!r} is no type of a message")
         identifier_at = columns.index("I")
@@ -210,12 +213,12 @@ def _bytes(words: list[str], length: int) -> bytes:
 
     Raises ValueError for fewer or other words.
     """
-    pairs = words[:length]
-    if len(pairs) != length or not all(_HEX_BYTE.match(word) for word in pairs):
+    data = leading_bytes(words[:length])
+    if len(data) != length:
         raise ValueError(f"no {length} bytes of data as stated")
     if any(word != "--" for word in words[length:]):
         raise ValueError(f"more than the {length} bytes of data stated")
-    return bytes(int(word, 16) for word in pairs)
+    return data
 
 
 class TrcWriter(RelativeWriter):
@@ -247,29 +250,24 @@ class TrcWriter(RelativeWriter):
         )
 
     def _text(self, frame: LogFrame, time_ns: int) -> str:
-        if time_ns % 1000:
-            self.losses["times rounded to the microsecond"] += 1
+        self.lose(time_ns % 1000, "times rounded to the microsecond")
         whole, fraction = divmod((time_ns + 500) // 1000, 1000)
         self._number += 1
         bus = self.channel_number(frame.channel)
-        if not frame.direction:
-            self.losses["direction not recorded, written as Rx"] += 1
+        direction = self.direction(frame)
         identifier = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:04X}"
         kind = "RR" if frame.remote else "DT"
         if frame.fd and not frame.remote:
-            kind = (("FD", "BI"), ("FB", "FE"))[frame.brs][frame.esi]
-        elif frame.fd:
-            self.losses["CAN FD flag of a remote frame"] += 1
+            kind = next(k for k, flags in _FD_TYPES.items() if flags == (frame.brs, frame.esi))
+        self.lose(frame.fd and frame.remote, "CAN FD flag of a remote frame")
         if frame.error:
             kind, identifier = "ER", "-"
-            if frame.can_id or frame.extended or frame.fd or frame.remote:
-                self.losses["error frame class and flags"] += 1
-            if len(frame.data) > 8:
-                self.losses["bytes of an error frame after the eighth"] += 1
-                frame = frame._replace(data=frame.data[:8])
+            lost = frame.can_id or frame.extended or frame.fd or frame.remote
+            self.lose(lost, "error frame class and flags")
+            frame = frame._replace(data=self.error_data(frame))
         return (
             f"{self._number:>7} {whole:>9}.{fraction:03d} {kind} {bus:<2} {identifier:>8} "
-            f"{frame.direction or 'Rx'} -  {frame.dlc:<2}   {frame.data.hex(' ').upper()}\n"
+            f"{direction} -  {frame.dlc:<2}   {frame.data.hex(' ').upper()}\n"
         )
 
 
@@ -279,7 +277,7 @@ def _recognise(head: bytes) -> bool:
     if ";$FILEVERSION=" in text:
         return True
     lines = [line for line in text.split("\n") if line.strip() and line[0] != ";"]
-    return bool(lines) and bool(_VERSION_1_LOOK.match(lines[0]))
+    return bool(lines) and bool(re.match(r"\s*\d+\)\s+\d+(?:\.\d+)?\s+\S+\s+\S", lines[0]))
 
 
 FORMAT: Final = Format("trc", (".trc",), _recognise, TrcReader, TrcWriter)

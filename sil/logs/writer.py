@@ -179,6 +179,21 @@ class LogWriter(ABC):
         else:
             self.abort()
 
+    def lose(self, lost: object, name: str) -> None:
+        """Count a loss if there is one."""
+        if lost:
+            self.losses[name] += 1
+
+    def direction(self, frame: LogFrame) -> str:
+        """Return Rx or Tx for a format that has no other."""
+        self.lose(not frame.direction, "direction not recorded, written as Rx")
+        return frame.direction or "Rx"
+
+    def error_data(self, frame: LogFrame) -> bytes:
+        """Return the details of an error frame for a format that has room for eight bytes."""
+        self.lose(len(frame.data) > 8, "bytes of an error frame after the eighth")
+        return frame.data[:8]
+
     def channel_number(self, channel: str, lowest: int = 1) -> int:
         """Return the number (`lowest`..255) that stands for a channel name.
 
@@ -203,8 +218,7 @@ class LogWriter(ABC):
                     f"{self.path}: more than 255 channels; expected a format with names"
                 )
         self.channel_numbers[channel] = wanted
-        if str(wanted) != channel:
-            self.losses[f"channel {channel or '(unnamed)'} written as {wanted}"] += 1
+        self.lose(str(wanted) != channel, f"channel {channel or '(unnamed)'} written as {wanted}")
         return wanted
 
 
