@@ -50,14 +50,6 @@ from plant.trace import CMD, CURRENT, PULSE, SPEEDS, VALVE, TraceRows, TraceSink
 Released = list[tuple[int, Frame]]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
-OVERTRAVEL_M = (
-    0.001  # beyond the stroke, for worn stops and bounce, that a pulse must still measure
-)
-PRESSURE_LIMIT_PA = 3_276_750.0  # ends of the truth frames' ranges, where these saturate
-TRAVEL_LIMIT_M = 0.032767
-SPEED_LIMIT_M_S = 16.0
-LIMITS = (TRAVEL_LIMIT_M, SPEED_LIMIT_M_S, TRAVEL_LIMIT_M, TRAVEL_LIMIT_M)
-
 EVENT_NAMES = {"stop": "stay_stop", "block": "sync_block", "unblock": "sync_unblock"}
 DIRECTIONS = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}
 REFERRED = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
@@ -164,7 +156,7 @@ class PlantNode:
         self.circuit = PositionCircuit(
             config.sensor,
             InductiveSensor.from_parameters(parameters),
-            parameters.value("length.stroke") + OVERTRAVEL_M,
+            parameters.value("length.stroke") + 0.001,  # worn stops and bounce are measured too
             config.sensor_faults,
             config.seed,
             Thermometer(config.temperature_faults, config.seed),
@@ -297,11 +289,13 @@ class PlantNode:
             updates.append((now_ns, SPEEDS + 1, line.output_rad_s))
         if self._truth.take(now_ns):
             stroke = self.stroke
+            # the frames saturate at the ends of their ranges
             motion = (stroke.position_m, stroke.velocity_m_s, *stroke.pistons_m)
-            limited = [max(-lim, min(lim, v)) for v, lim in zip(motion, LIMITS, strict=True)]
+            limits = (0.032767, 16.0, 0.032767, 0.032767)
+            limited = [max(-lim, min(lim, v)) for v, lim in zip(motion, limits, strict=True)]
             frames.append(encode(PlantMotion(*limited)))
             pressures = (*stroke.pressures_pa, self.supply_pressure_pa)
-            frames.append(encode(PlantPressures(*(min(p, PRESSURE_LIMIT_PA) for p in pressures))))
+            frames.append(encode(PlantPressures(*(min(p, 3_276_750.0) for p in pressures))))
         return frames
 
     def _take_engine_requests(self, deliveries: Sequence[tuple[int, Frame]]) -> None:
@@ -329,11 +323,11 @@ class PlantNode:
         self.stroke.events.clear()  # a long run must not collect them
         if self._on_event is None:
             return
-        found: list[tuple[float, str, dict[str, float]]] = [
+        reports: list[tuple[float, str, dict[str, float]]] = [
             (instant / NS_PER_S, f"coil_{CHAMBERS[chamber]}_{'on' if on else 'off'}", {})
             for instant, chamber, on in coils
         ]
-        found += [
+        reports += [
             (
                 event.time_s,
                 EVENT_NAMES.get(event.name, event.name.replace(" ", "_")),
@@ -348,9 +342,9 @@ class PlantNode:
         ]
         for instant, chamber, u in switches:
             name = f"valve_{CHAMBERS[chamber]}_{'open' if u else 'close'}"
-            found.append((instant / NS_PER_S, name, {}))
-        found.sort(key=lambda event: event[0])
-        for time_s, name, values in found:
+            reports.append((instant / NS_PER_S, name, {}))
+        reports.sort(key=lambda event: event[0])
+        for time_s, name, values in reports:
             self._on_event(time_s, name, values)
 
 

@@ -13,7 +13,7 @@ from plant.parts.damper import steady_oil_pressure
 from plant.systems.length_stroke import LengthStroke
 
 Floats = NDArray[np.float64]
-Update = tuple[int, int, float]  # instant in ns, column of HELD + CURRENTS, value from then on
+Update = tuple[int, int, float]  # instant in ns, column of SIGNALS + CURRENTS, value from then on
 
 STATES = (
     "position_m",
@@ -26,7 +26,7 @@ STATES = (
     "pressure_oil2_pa",
     "spent_impulse_n_s",
 )
-HELD = (
+SIGNALS = (
     "cmd_B",
     "cmd_N",
     "cmd_F",
@@ -38,14 +38,12 @@ HELD = (
     "output_rad_s",
 )
 CURRENTS = ("current_B_a", "current_N_a", "current_F_a")
-TRACE_COLUMNS = ("time_s", *STATES, *HELD)
+TRACE_COLUMNS = ("time_s", *STATES, *SIGNALS)
 """Columns of a trace row: time, true states, and signals that hold between their changes: duty at
 the coil, actual valve position, duration in the latest pulse report (0 before the first), and shaft
 speeds as last published. A row shows what has changed at its very instant."""
 
-CMD, VALVE, PULSE, SPEEDS, CURRENT = 0, 3, 6, 7, 9  # where each group begins in HELD + CURRENTS
-_OIL = 1 + STATES.index("pressure_oil2_pa")
-_HELD_FROM = 1 + len(STATES)
+CMD, VALVE, PULSE, SPEEDS, CURRENT = 0, 3, 6, 7, 9  # where each group begins in SIGNALS + CURRENTS
 
 
 def trace_columns(drive: Drive) -> tuple[str, ...]:
@@ -84,7 +82,7 @@ class TraceRows:
         self._columns = [stroke.columns.index(name) for name in STATES]
         self._at_once = at_once
         self._width = len(trace_columns(drive))
-        self._held = [0.0] * (self._width - _HELD_FROM)
+        self._latest = [0.0] * (self._width - 1 - len(STATES))
         self._states: list[Floats] = []
         self._updates: list[Update] = []
         self._written_ns = 0  # the first row that the sink has not got
@@ -98,7 +96,7 @@ class TraceRows:
     def write(self, instants: range, states: Sequence[Floats], updates: Sequence[Update]) -> None:
         """Write the rows at `instants` from the states there, in blocks [n, all columns].
 
-        `updates` are the changes of held signals since the last call, each column's in order.
+        `updates` are the changes of the signals since the last call, each column's in order.
         """
         if self._sink is None:
             return
@@ -117,21 +115,22 @@ class TraceRows:
         states = np.concatenate(self._states)
         rows = np.empty((len(instants), self._width))
         rows[:, 0] = instants / NS_PER_S
-        rows[:, 1:_HELD_FROM] = states[:, self._columns]
+        first_signal = 1 + len(STATES)
+        rows[:, 1:first_signal] = states[:, self._columns]
         if self._oil_follows_motion:
-            rows[:, _OIL] = self._oil_pressure_pa(states)
-        changes: list[list[tuple[int, float]]] = [[(0, value)] for value in self._held]
+            rows[:, 1 + STATES.index("pressure_oil2_pa")] = self._oil_pressure_pa(states)
+        changes: list[list[tuple[int, float]]] = [[(0, value)] for value in self._latest]
         first, period = self._written_ns, self._period_ns
         for instant, column, value in self._updates:
             changes[column].append((max(0, -((first - instant) // period)), value))
-            self._held[column] = value
-        for column, found in enumerate(changes):
-            if len(found) == 1:
-                rows[:, _HELD_FROM + column] = found[0][1]
+            self._latest[column] = value
+        for column, steps in enumerate(changes, first_signal):
+            if len(steps) == 1:
+                rows[:, column] = steps[0][1]
                 continue
-            begins, values = zip(*found, strict=True)
+            begins, values = zip(*steps, strict=True)
             lasting = np.diff(np.minimum((*begins, len(rows)), len(rows)))
-            rows[:, _HELD_FROM + column] = np.repeat(values, lasting)
+            rows[:, column] = np.repeat(values, lasting)
         self._states.clear()
         self._updates.clear()
         self._written_ns = self._next_ns

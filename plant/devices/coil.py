@@ -12,10 +12,6 @@ from plant.kernel.compiled import kernel
 STEP_NS = 2_000
 """Step of the integration; the opening is within 5 us of that of a solver with tolerance 1e-9."""
 
-REFERENCE_K = 293.15
-COPPER_1_K = 0.00393
-"""Temperature coefficient of the resistance of copper at 20 degrees Celsius."""
-
 OPENS_AT, CLOSES_AT = 0.55, 0.45
 """Share of the plunger's travel beyond which the valve counts as open, and as closed."""
 
@@ -156,7 +152,7 @@ class CoilValve(Valve):
         sample_ns: int = 0,
     ) -> None:
         super().__init__(timing, is_open, duty)
-        warm = 1.0 + COPPER_1_K * (config.temperature_k - REFERENCE_K)
+        warm = 1.0 + 0.00393 * (config.temperature_k - 293.15)  # copper
         self.solenoid = Solenoid(config.supply_v, config.decay_v, config.resistance_ohm * warm)
         mean_v = duty * (config.supply_v + config.decay_v) - config.decay_v
         current_a = max(0.0, mean_v / self.solenoid.resistance_ohm)

@@ -12,13 +12,10 @@ from plant.errors import InputError
 
 BACKWARD, NO_GEAR, FORWARD = 1, 0, -1  # direction of a gear, as the sign of the stay's position
 
-REQUEST_HOLDS_NS = 100_000_000
-"""After this long without another request the engine no longer follows the last one."""
-
-LARGEST = 1e6  # of any value below, in its unit: far beyond every drivetrain
-Limited = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
-NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
-Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
+# in any unit below far beyond every drivetrain
+Limited = Annotated[float, Meta(ge=-1e6, le=1e6)]
+NotNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
+Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
 
 
 class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -207,8 +204,8 @@ class Driveline:
         residual = self.residual_rad_s(direction)
         if not self.config.follows_requests:
             return residual
-        if self._request is None or now_ns - self._request[0] > REQUEST_HOLDS_NS:
-            return None
+        if self._request is None or now_ns - self._request[0] > 100_000_000:
+            return None  # no request, or none for 0.1 s
         return self._request[1] / self.ratio - self.config.output_rad_s + residual
 
     def _stated_impulse_n_s(self, direction: int) -> float | None:

@@ -14,8 +14,6 @@ from plant.devices.signal_faults import ActiveFault, FaultWindow, Thermometer
 from plant.devices.valve import seconds_to_ns
 from plant.errors import InputError
 
-DEFAULT_LEAD_S = 0.005  # a pulse starts this long before a multiple of its period
-
 
 class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """When pulses start and how they are reported.
@@ -47,7 +45,7 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         """Start of the first pulse [ns]."""
         period = seconds_to_ns(self.period_s)
         if self.phase_s is None:
-            return -seconds_to_ns(DEFAULT_LEAD_S) % period
+            return -seconds_to_ns(0.005) % period
         return seconds_to_ns(self.phase_s) % period
 
 

@@ -14,12 +14,6 @@ from plant.devices.sensors import named_generator
 from plant.devices.toothed_wheel import ToothedWheel
 from plant.devices.valve import seconds_to_ns
 
-OPEN_LINE_K = 200.0
-"""Reading of the thermometer's circuit on a broken line: the cold end of its range."""
-
-RANGE_RAD_S = 1000.0
-"""Where the measurement saturates, to either side."""
-
 Speeds = tuple[float, float]
 Report = TypeVar("Report")
 
@@ -143,7 +137,7 @@ class Thermometer:
         """Temperature [K] reported with the pulse begun at `start_ns`, within 200..450 K."""
         for active in self._faults:
             reading = active.apply(start_ns, temperature_k, active.fault.value_k)
-            temperature_k = OPEN_LINE_K if reading is None else reading
+            temperature_k = 200.0 if reading is None else reading  # a broken line reads cold
         return min(max(temperature_k, 200.0), 450.0)
 
 
@@ -191,4 +185,5 @@ def _active(fault: SpeedFault, seed: int, index: int) -> ActiveFault[Speeds]:
 
 
 def _in_range(speed_rad_s: float) -> float:
-    return min(max(speed_rad_s, -RANGE_RAD_S), RANGE_RAD_S)
+    """Return what the measurement reports of a speed [rad/s]: it saturates at 1000 on either side."""
+    return min(max(speed_rad_s, -1000.0), 1000.0)

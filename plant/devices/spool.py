@@ -19,12 +19,6 @@ from plant.devices.valve import NS_PER_S, ValveTiming
 Move = tuple[int, float, float]
 """Instant [ns], opening, slope [1/s]."""
 
-POINTS = 100
-"""Moves per period of the spool's natural frequency: its path is straight between them, within 0.05 %."""
-
-SETTLED = 10.0
-"""Time constants after which the spool counts as arrived, within 5e-5 of its step."""
-
 
 @dataclass(frozen=True)
 class Spool:
@@ -53,12 +47,14 @@ class Spool:
         creep_s: least time for the whole travel.
         """
         w = 2.0 * pi * self.frequency_hz
-        step_ns = max(1, round(NS_PER_S / (POINTS * self.frequency_hz)))
+        # 100 moves per period of the natural frequency: straight between them within 0.05 %
+        step_ns = max(1, round(NS_PER_S / (100 * self.frequency_hz)))
         root = sqrt(complex(self.damping**2 - 1.0)) or 1e-6
         fast, slow = -w * (self.damping + root), -w * (self.damping - root)
         if self.damping == 0.0:
             fast = slow = complex(-w)
-        settled_ns = round((SETTLED / -slow.real + creep_s) * NS_PER_S)
+        # after 10 time constants the spool has arrived, within 5e-5 of its step
+        settled_ns = round((10.0 / -slow.real + creep_s) * NS_PER_S)
         position, speed = start, 0.0
         for (begin_ns, target), (end_ns, _) in pairwise([*signal, (until_ns, 0.0)]):
             lasts_ns = min(end_ns - begin_ns, settled_ns)

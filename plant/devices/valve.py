@@ -15,7 +15,6 @@ from plant.parameters import ParameterSet
 from plant.parameters.bounds import outside
 
 NS_PER_S = 1_000_000_000
-LONGEST_S = 1e9
 NEVER_NS = 1 << 63
 
 Drive = Literal["delays", "coil"]
@@ -24,10 +23,10 @@ Drive = Literal["delays", "coil"]
 def seconds_to_ns(seconds: float) -> int:
     """Return the whole nanoseconds nearest to a time in seconds.
 
-    Raises InputError beyond LONGEST_S, thirty years.
+    Raises InputError beyond 1e9 s, thirty years.
     """
-    if abs(seconds) > LONGEST_S:
-        raise InputError(f"a time of {seconds:g} s; expected at most {LONGEST_S:g} s")
+    if abs(seconds) > 1e9:
+        raise InputError(f"a time of {seconds:g} s; expected at most 1e+09 s")
     return round(seconds * NS_PER_S)
 
 

@@ -98,8 +98,8 @@ class FaultyValve:
         factor = 1.0
         for window in self._faults:
             if not window.fault.holds(now_ns):
-                if window.held is not None:  # what was still on its way is overtaken
-                    window.held = None
+                if window.delayed_duty is not None:  # what was still on its way is overtaken
+                    window.delayed_duty = None
                     self._late.clear()
                 continue
             match window.fault.kind:
@@ -126,13 +126,13 @@ class FaultyValve:
 
     def _delayed(self, now_ns: int, duty: float, window: _Window) -> float:
         """Return the duty of `delay_s` ago; until then the one at the fault's start."""
-        if window.held is None:
-            window.held = self.valve.duty
-        if (self._late[-1][1] if self._late else window.held) != duty:
+        if window.delayed_duty is None:
+            window.delayed_duty = self.valve.duty
+        if (self._late[-1][1] if self._late else window.delayed_duty) != duty:
             self._late.append((now_ns + seconds_to_ns(window.fault.delay_s), duty))
         while self._late and self._late[0][0] <= now_ns:
-            window.held = self._late.pop(0)[1]
-        return window.held
+            window.delayed_duty = self._late.pop(0)[1]
+        return window.delayed_duty
 
 
 class _Window:
@@ -147,7 +147,7 @@ class _Window:
                 f"valve_fault: {fault.kind} on valve {fault.valve} ends at {fault.end_s} s; "
                 f"expected after its start, {fault.start_s} s"
             )
-        self.held: float | None = None
+        self.delayed_duty: float | None = None
         self._generator = named_generator(seed, "valve", fault.valve, index)
         self._draws = fault.kind in ("garbage", "intermittent")
         self._slot = -1
@@ -178,7 +178,7 @@ def faulty_valves(
 ) -> dict[int, FaultyValve]:
     """Return the valves that have faults, by their number."""
     return {
-        number: FaultyValve(valve, own, seed)
+        number: FaultyValve(valve, faults_of_valve, seed)
         for number, (valve, name) in enumerate(zip(valves, names, strict=True))
-        if (own := [fault for fault in faults if fault.valve == name])
+        if (faults_of_valve := [fault for fault in faults if fault.valve == name])
     }

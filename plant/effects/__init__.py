@@ -98,7 +98,7 @@ def overridden(parameters: ParameterSet, changes: Mapping[str, Any]) -> Paramete
         effects.setdefault(parts[1], {})[parts[2]] = Parameter(
             number(value, path), units.get(parts[2], "-"), "set by the user"
         )
-    own = {path: value for path, value in changes.items() if not path.startswith("effect.")}
-    found = replace(parameters.override(own), effects=effects)
+    numbers = {path: value for path, value in changes.items() if not path.startswith("effect.")}
+    extended = replace(parameters.override(numbers), effects=effects)
     check_effects(effects, parameters.name)
-    return found
+    return extended

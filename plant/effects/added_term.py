@@ -54,11 +54,8 @@ TRIED: dict[str, tuple[float, ...]] = {
 }
 """Values of each argument at which a term must be a finite number."""
 
-LONGEST_S = 20.0
-"""A term that takes this long for its values all over the ranges never ends."""
-
-RAISES = {"RAISE_VARARGS", "LOAD_ASSERTION_ERROR"}
-"""Instructions of `raise` and `assert`, which the equations cannot pass on."""
+TIME_LIMIT_S = 20.0
+"""Of a term for its values all over the ranges; one that takes longer never ends."""
 
 SIGNATURE = types.float64(*[types.float64] * 6, types.CPointer(types.float64))
 
@@ -77,7 +74,9 @@ class AddedTerm:
         self.values = tuple(item.name for item in given if item.name not in ARGUMENTS[slot])
         if any(item.kind is not item.POSITIONAL_OR_KEYWORD for item in given):
             raise InputError(f"{self.where}: *, / or ** in its arguments; expected plain names")
-        if {item.opname for item in dis.get_instructions(code)} & RAISES:
+        # instructions of `raise` and `assert`, which the equations cannot pass on
+        raising = {"RAISE_VARARGS", "LOAD_ASSERTION_ERROR"}
+        if raising & {item.opname for item in dis.get_instructions(code)}:
             raise InputError(f"{self.where}: raises an error; expected a number for all arguments")
 
     @functools.cached_property
@@ -128,10 +127,10 @@ class AddedTerm:
 
         Raises InputError for a call that does not return.
         """
-        own = np.array(values)
+        passed = np.array(values)
         call = self.compiled.ctypes
-        pointer = own.ctypes.data_as(call.argtypes[-1])
-        found: list[tuple[dict[str, float], float]] = []
+        pointer = passed.ctypes.data_as(call.argtypes[-1])
+        results: list[tuple[dict[str, float], float]] = []
         trials = [
             dict(zip(self.arguments, chosen, strict=True))
             for chosen in product(*(TRIED[name] for name in self.arguments))
@@ -142,19 +141,19 @@ class AddedTerm:
                 six = [0.0] * 6
                 for name, value in at.items():
                     six[ARGUMENTS[self.slot][name]] = value
-                found.append((at, float(call(*six, pointer))))
+                results.append((at, float(call(*six, pointer))))
 
         # not even Ctrl-C ends compiled code; a daemon ends with the process
         thread = threading.Thread(target=call_all, daemon=True)
         thread.start()
-        thread.join(LONGEST_S)
+        thread.join(TIME_LIMIT_S)
         if thread.is_alive():
-            call_now = self.called(trials[len(found)], values)
+            call_now = self.called(trials[len(results)], values)
             trials.clear()  # so that a slow term is not called again
             raise InputError(
-                f"{call_now} does not return within {LONGEST_S:g} s; expected a number at once"
+                f"{call_now} does not return within {TIME_LIMIT_S:g} s; expected a number at once"
             )
-        return found
+        return results
 
     def called(self, at: dict[str, float], values: list[float]) -> str:
         """Return a call of the term as its user would write it, after FILE:LINE."""

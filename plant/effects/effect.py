@@ -120,11 +120,11 @@ class Effect:
         Raises InputError, with `where` in front, for an unknown or missing parameter, another unit
         and a value outside the bounds.
         """
-        known = {item.name: item for item in self.parameters}
+        expected = {item.name: item for item in self.parameters}
         for name, given in table.items():
-            if name not in known:
-                raise InputError(f"{where} {name}: {unknown_name(name, known)}")
-            item = known[name]
+            if name not in expected:
+                raise InputError(f"{where} {name}: {unknown_name(name, expected)}")
+            item = expected[name]
             if given.unit != item.unit:
                 raise InputError(f"{where} {name}: unit {given.unit!r}; expected {item.unit!r}")
             values = given.value if isinstance(given.value, tuple) else (given.value,)
@@ -136,9 +136,9 @@ class Effect:
                     raise InputError(
                         f"{where} {name}: {value:g}; expected {item.low:g} to {item.high:g}"
                     )
-        for name, item in known.items():
+        for name, item in expected.items():
             if name not in table and not item.optional:
-                raise InputError(f"{where}: no {name}; expected {', '.join(known)}")
+                raise InputError(f"{where}: no {name}; expected {', '.join(expected)}")
 
 
 def effect(

@@ -19,12 +19,6 @@ WHERE = choice("where", "-", 0.0, 0.0, 4.0)
 VOLUME = EffectParameter("volume_m3", "m^3", 0.0, -5e-5, 5e-4, 5e-6, 1)
 CLOG = EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1)
 
-QUICK_LINE_M = 0.2
-"""Volume over C_d A of a line that follows within a millisecond."""
-
-LEAK_UP_TO_PA = 1.2e6
-"""Highest pressure of a chamber that a leak is tabulated for."""
-
 
 @effect(
     "piston_leak",
@@ -69,7 +63,7 @@ def leak_out(setup: Setup, values: dict[str, float]) -> None:
         setup.p.leak_atm = values["cda_m2"]
     elif values["cda_m2"] > 0.0:
         p = setup.p
-        pressures = np.linspace(p.p_atm, LEAK_UP_TO_PA, TERM_NODES)
+        pressures = np.linspace(p.p_atm, 1.2e6, TERM_NODES)
         gas = (values["cda_m2"], p.t_gas, p.gamma, p.r_air)
         flow = plain(orifice)
         lost = np.array([flow(pressure, p.p_atm, *gas) for pressure in pressures.tolist()])
@@ -125,7 +119,7 @@ def droop(setup: Setup, values: dict[str, float]) -> None:
         return
     setup.has_line = True
     setup.p.line_cda = values["cda_m2"]
-    setup.p.line_volume = max(values["volume_m3"], QUICK_LINE_M * values["cda_m2"])
+    setup.p.line_volume = max(values["volume_m3"], 0.2 * values["cda_m2"])
 
 
 @effect(
@@ -234,8 +228,8 @@ def residual(setup: Setup, values: dict[str, float]) -> None:
         chambers = setup.conditions.chambers
     for chamber in chambers:
         if where in (0.0, 2.0) or chamber not in charged:
-            held = setup.residual_pa.get(chamber, 0.0)
-            setup.residual_pa[chamber] = held + values["pressure_pa"]
+            other_pa = setup.residual_pa.get(chamber, 0.0)
+            setup.residual_pa[chamber] = other_pa + values["pressure_pa"]
 
 
 EFFECTS = (

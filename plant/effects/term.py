@@ -28,12 +28,10 @@ LEVELLED = {
 }
 """Slots with one level a stroke, and the quantities of `plant.effects.tolerances` they change."""
 
-VALVES = ("1", "B", "N", "F")
-
 LEVELS: dict[float, Callable[[Setup], float]] = {
     Over.REST: lambda setup: float(np.log10(max(setup.conditions.rest_s, 1e-3))),
     Over.PROGRESS: lambda setup: setup.conditions.progress,
-    Over.VALVE: lambda setup: float(VALVES.index(setup.charged_chamber)),
+    Over.VALVE: lambda setup: float("1BNF".index(setup.charged_chamber)),
 }
 """Variables that have one value a stroke."""
 

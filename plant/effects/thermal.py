@@ -2,33 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.setup import Setup
 from plant.kernel.layout import Parameters
-
-SLOPES = (
-    Parameters.alpha_speed_m1,
-    Parameters.alpha_speed,
-    Parameters.alpha_speed_m2,
-    Parameters.alpha_speed_2,
-)
-EXPONENTS = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
-VOLUME_TERMS = (Parameters.alpha_speed, Parameters.alpha_speed_2)
-
-
-STARTS = tuple(
-    (sign * share, speed) for sign in (1.0, -1.0) for share in (0.02, 0.2) for speed in (0.05, 0.5)
-)
-"""Shares and speeds [m/s] at which a search begins."""
-
-FORMS = (
-    "",
-    "all exponents",
-    "towards adiabatic",
-    "all towards adiabatic",
-    "isothermal at rest",
-    "all isothermal at rest",
-)
 
 
 @effect(
@@ -40,8 +18,21 @@ FORMS = (
     EffectParameter("speed_m_s", "m/s", 0.3, 0.001, 20.0, 0.3, optional=True),
     choice("form", "-", 0.0, 0.0, 5.0),
     variants=tuple(
-        Variant(name, {"form": float(form)} if form else {}, STARTS)
-        for form, name in enumerate(FORMS)
+        Variant(
+            name,
+            {"form": float(form)} if form else {},
+            tuple(product((0.02, 0.2, -0.02, -0.2), (0.05, 0.5))),
+        )
+        for form, name in enumerate(
+            (
+                "",
+                "all exponents",
+                "towards adiabatic",
+                "all towards adiabatic",
+                "isothermal at rest",
+                "all isothermal at rest",
+            )
+        )
     ),
 )
 def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
@@ -54,9 +45,16 @@ def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
     form = values["form"]
     speed = max(values["speed_m_s"], 1e-3)
     setup.p.alpha_v0 = speed
-    for index, exponent in zip(SLOPES, EXPONENTS, strict=True):
-        if form in (0.0, 2.0, 4.0) and index not in VOLUME_TERMS:
-            continue
+    slopes_of_volume = (
+        (Parameters.alpha_speed, Parameters.alpha_1),
+        (Parameters.alpha_speed_2, Parameters.alpha_2),
+    )
+    slopes_of_mass = (
+        (Parameters.alpha_speed_m1, Parameters.alpha_m1),
+        (Parameters.alpha_speed_m2, Parameters.alpha_m2),
+    )
+    slopes = slopes_of_volume if form in (0.0, 2.0, 4.0) else slopes_of_mass + slopes_of_volume
+    for index, exponent in slopes:
         towards = 1.0
         if form >= 4.0:
             towards = setup.p[exponent] - 1.0

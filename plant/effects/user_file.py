@@ -37,9 +37,6 @@ from plant.parameters import load
 MARK = "@sha256:"
 """Separates a file's path from the hash of its content, where a run stores it."""
 
-SHAPES = ("bump_x", "bump_width", "detent_width", "alpha_v0", "line_volume")
-"""Parameters without a meaning while another one, the size of what they shape, is neutral."""
-
 EXPECTED = "a Python file with EFFECTS = (...)"
 
 _LOADED: dict[str, tuple[str, tuple[str, ...]]] = {}
@@ -99,11 +96,11 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
         effects = getattr(module, "EFFECTS", None)
         if not isinstance(effects, tuple | list) or not effects:
             raise InputError(f"{file}: no EFFECTS; expected EFFECTS = (effect, ...)")
-        known = set(catalogue.CATALOGUE)
+        identifiers = set(catalogue.CATALOGUE)
         effects = tuple(guarded(item, file) for item in effects)
         for item in effects:
-            check_effect(item, file, known)
-            known.add(item.id)
+            check_effect(item, file, identifiers)
+            identifiers.add(item.id)
     except BaseException as error:
         del ALL_TERMS[first:]
         if isinstance(error, KeyboardInterrupt | MemoryError):
@@ -155,13 +152,13 @@ def described(error: BaseException, file: str, expected: str = EXPECTED) -> str:
     return f"{file}{line}: {type(error).__name__}: {said}; expected {expected}"
 
 
-def check_effect(item: Effect, file: str, known: set[str]) -> None:
+def check_effect(item: Effect, file: str, identifiers: set[str]) -> None:
     """Check one effect: what it states, its terms, and that it is neutral at its neutral parameters.
 
     Raises InputError with file and line.
     """
     where = where_of(item, file)
-    for wrong in statement_errors(item, known):
+    for wrong in statement_errors(item, identifiers):
         raise InputError(f"{where}: {wrong}")
     for setup in probe_setups(item):
         check_neutral(item, setup, where)
@@ -169,11 +166,11 @@ def check_effect(item: Effect, file: str, known: set[str]) -> None:
             list(evaluated(changed(item, setup, values)))
 
 
-def statement_errors(item: Effect, known: set[str]) -> Iterator[str]:
+def statement_errors(item: Effect, identifiers: set[str]) -> Iterator[str]:
     """Yield what is wrong with the statements of an effect."""
     if not (isinstance(item.id, str) and item.id.isidentifier() and item.id.islower()):
         yield "expected an id in lower case, of letters, digits and _"
-    if item.id in known:
+    if item.id in identifiers:
         yield "exists already; expected another id"
     for name in ("cause_class", "equation", "what"):
         text = getattr(item, name)
@@ -198,8 +195,8 @@ def statement_errors(item: Effect, known: set[str]) -> Iterator[str]:
         yield f"look_alikes: {item.look_alikes!r}; expected a tuple of ids, as ({item.look_alikes!r},)"
         return
     for other in item.look_alikes:
-        if other not in known:
-            near = ", ".join(nearest(other, known, cutoff=0.3) or sorted(known)[:3])
+        if other not in identifiers:
+            near = ", ".join(nearest(other, identifiers, cutoff=0.3) or sorted(identifiers)[:3])
             yield f"look_alikes: {other!r} is no effect; expected one of {near}, ..."
 
 
@@ -251,9 +248,9 @@ def probes() -> tuple[Setup, ...]:
     """Return a setup of every kind of stroke, some with the oil damper."""
     commands = {"fixed": "1", "N-B": "B", "B-N": "N", "N-F": "F", "F-N": "N"}
     conditions = [
-        StrokeConditions(kind, 9e5, ((0.01, commands[kind], 0.98),), load=held)
+        StrokeConditions(kind, 9e5, ((0.01, commands[kind], 0.98),), load=rod_load)
         for kind in KINDS
-        for held in ("none", "damper")
+        for rod_load in ("none", "damper")
     ]
     return tuple(Setup.of(load(), one) for one in conditions)
 
@@ -295,8 +292,10 @@ def check_neutral(item: Effect, setup: Setup, where: str) -> None:
     for call, value in evaluated(twin):
         if value != 0.0:
             raise InputError(f"{call} = {value:g} at the neutral parameters; expected 0")
+    # without a meaning while another one, the size of what they shape, is neutral
+    shapes = ("bump_x", "bump_width", "detent_width", "alpha_v0", "line_volume")
     for name in Parameters.fields:
-        if name.startswith("added") or name in ("adder", *SHAPES):
+        if name.startswith("added") or name in ("adder", *shapes):
             continue
         old, new = getattr(setup.p, name), getattr(twin.p, name)
         if not np.array_equal(old, new):
@@ -315,9 +314,9 @@ def evaluated(setup: Setup) -> Iterator[tuple[str, float]]:
     for term, (slot, address, first) in product(ALL_TERMS, rows):
         if term.slot != slot or term.compiled.address != address:
             continue
-        own = setup.p.added_values[int(first) : int(first) + len(term.values)].tolist()
-        for at, value in term.tried(own):
-            call = term.called(at, own)
+        passed = setup.p.added_values[int(first) : int(first) + len(term.values)].tolist()
+        for at, value in term.tried(passed):
+            call = term.called(at, passed)
             if not math.isfinite(value):
                 raise InputError(f"{call} = {value}; expected a finite number")
             yield call, value

@@ -6,8 +6,6 @@ from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift_fall, shift_rise
 
-FULL_SUPPLY_PA = 900000.0
-
 
 @effect(
     "valve_open_delay",
@@ -30,7 +28,7 @@ def open_later(setup: Setup, values: dict[str, float]) -> None:
     "valve",
     "opening delay depends on the supply pressure",
     EffectParameter("slope_s_pa", "s/Pa", 0.0, -1e-7, 1e-7, 1e-8),
-    choice("reference_pa", "Pa", FULL_SUPPLY_PA, 0.0, 2e6, 1e5),
+    choice("reference_pa", "Pa", 9e5, 0.0, 2e6, 1e5),
     variants=(
         Variant(),
         Variant("from 6 bar", {"reference_pa": 6e5}),

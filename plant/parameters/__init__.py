@@ -24,9 +24,6 @@ from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
 
-OPTIONAL = ("length.F_bond",)
-"""Parameters that a full set may leave out; the shipped value of `nominal` counts then."""
-
 
 class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number (or list of numbers) with its unit and where it comes from."""
@@ -99,13 +96,13 @@ class ParameterSet:
         return ParameterSet(self.name, complete(entries, self.name), self.effects)
 
 
-def unknown_path(path: str, known: Mapping[str, Any], name: str) -> str:
-    """Return one line that names an unknown path and the nearest known ones."""
-    near = nearest(path, known, cutoff=0.4)
+def unknown_path(path: str, entries: Mapping[str, Any], name: str) -> str:
+    """Return one line that names an unknown path and those that are nearest."""
+    near = nearest(path, entries, cutoff=0.4)
     if not near:
         tail = path.rsplit(".", 1)[-1]
-        near = [k for k in known if k.rsplit(".", 1)[-1].lower() == tail.lower()][:3]
-    sections = ", ".join(f"{section}.*" for section in sorted({k.split(".")[0] for k in known}))
+        near = [k for k in entries if k.rsplit(".", 1)[-1].lower() == tail.lower()][:3]
+    sections = ", ".join(f"{section}.*" for section in sorted({k.split(".")[0] for k in entries}))
     hint = f"one of {', '.join(near)}, ..." if near else f"one of {sections}"
     return f"{name}: {path}: no such parameter; expected {hint}"
 
@@ -161,11 +158,11 @@ def load(model: str | Path = "nominal", based_on: tuple[str, ...] = ()) -> Param
 
 def load_actuator(model: str) -> ParameterSet:
     """Load the parameters of an actuator that shifts gears. Raises InputError as `load`, and for a [cylinder]."""
-    found = load(model)
-    if "cylinder.bore" in found:
+    parameters = load(model)
+    if "cylinder.bore" in parameters:
         what = "states a [cylinder], which shifts no gears; expected a model of the actuator"
-        raise InputError(f"{found.name}: {what}")
-    return found
+        raise InputError(f"{parameters.name}: {what}")
+    return parameters
 
 
 def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> ParameterSet:
@@ -183,19 +180,21 @@ def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> 
         for section, table in convert(sections, tables, name).items()
         for key, item in table.items()
     }
-    known = dict(base.entries if base else given if name == "nominal" else load().entries)
-    known |= {path: Parameter(0.0, unit, "cylinder") for path, unit in cylinder.UNITS.items()}
+    possible = dict(base.entries if base else given if name == "nominal" else load().entries)
+    possible |= {path: Parameter(0.0, unit, "cylinder") for path, unit in cylinder.UNITS.items()}
     for path, item in given.items():
-        if path not in known:
-            raise InputError(unknown_path(path, known, name))
-        if item.unit != known[path].unit:
-            raise InputError(f"{name}: {path}: unit {item.unit!r}; expected {known[path].unit!r}")
+        if path not in possible:
+            raise InputError(unknown_path(path, possible, name))
+        if item.unit != possible[path].unit:
+            raise InputError(
+                f"{name}: {path}: unit {item.unit!r}; expected {possible[path].unit!r}"
+            )
         check_range(path, item, f"{name}: {path}.value")
     if base is not None:
         entries = complete({**base.entries, **given}, name)
         return ParameterSet(name, entries, {**base.effects, **effects})
-    given = {path: known[path] for path in OPTIONAL} | given
-    for path in known:
+    given = {"length.F_bond": possible["length.F_bond"]} | given  # a full set may leave it out
+    for path in possible:
         if path not in given and path not in cylinder.UNITS:
             raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
     return ParameterSet(name, complete(given, name), effects)
@@ -206,15 +205,15 @@ def complete(entries: Mapping[str, Parameter], name: str) -> dict[str, Parameter
 
     Raises InputError for a section that is not complete or impossible.
     """
-    found = dict(entries)
+    completed = dict(entries)
     stated = {
         path: float(item.value)
         for path, item in entries.items()
         if path in cylinder.UNITS and not isinstance(item.value, tuple)
     }
     for path, value in cylinder.derived(stated, name).items() if stated else ():
-        found[path] = Parameter(value, found[path].unit, "computed from [cylinder]")
-    return found
+        completed[path] = Parameter(value, completed[path].unit, "computed from [cylinder]")
+    return completed
 
 
 def check_range(path: str, item: Parameter, where: str) -> None:

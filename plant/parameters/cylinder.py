@@ -43,19 +43,17 @@ dead_zone: of a proportional valve's spool (`plant.devices.spool`), without them
 
 PROPORTIONAL = ("cylinder.valve_frequency", "cylinder.valve_damping", "cylinder.valve_dead_zone")
 
-TUBE_FRICTION = 0.02
-"""Friction factor of a smooth tube in turbulent flow (Moody chart, Reynolds numbers about 3e4)."""
-
-TUBE_ENDS = 1.5
-"""Loss factor of entry and exit of a tube (0.5 and 1)."""
-
 
 def tube_area(length_m: float, diameter_m: float) -> float:
-    """Return the C_d A of a tube, A / sqrt(f L / D + 1.5) [m^2]; without a length none limits."""
+    """Return the C_d A of a tube, A / sqrt(f L / D + 1.5) [m^2]; without a length none limits.
+
+    f = 0.02: smooth tube, turbulent flow (Moody chart, Reynolds numbers about 3e4); 1.5: loss factors
+    of entry and exit (0.5 and 1).
+    """
     if length_m == 0.0:
         return float("inf")
     area = 0.25 * pi * diameter_m**2
-    return area / sqrt(TUBE_FRICTION * length_m / diameter_m + TUBE_ENDS)
+    return area / sqrt(0.02 * length_m / diameter_m + 1.5)
 
 
 def in_series(one: float, two: float) -> float:
