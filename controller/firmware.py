@@ -22,6 +22,7 @@ from can_dbc.messages import (
 )
 from controller.broadcast import Broadcast
 from controller.config import FirmwareConfig, create_strategy
+from controller.interlock import Interlock
 from controller.position import Estimate, GearWindows, PositionEstimator
 from controller.settings import nanoseconds
 from controller.shift import Event, Observation, ShiftMachine
@@ -79,12 +80,11 @@ class Firmware:
         self._strategy = create_strategy(config)
         self._machine = ShiftMachine(config, self._strategy.blow_s)
         self._startup_ns = nanoseconds(config.e2e.startup_s)
-        self._apart_ns = nanoseconds(config.shift.interlock_s) + config.period_ns
+        self._interlock = Interlock(config)
         self._sync_tolerance_rad_s = config.shift.sync_tolerance_rad_s
         self._start_ns: int | None = None  # until the first step
         self._now_ns = 0
         self._latched = Fault.NONE
-        self._energised_ns: list[int | None] = [None, None, None]
         self._valid_before = dict.fromkeys(("position", "request", "speeds"), False)
         self._position_timeout_ns = nanoseconds(config.e2e.position_timeout_s)
         self._sampled_ns = 0
@@ -190,8 +190,8 @@ class Firmware:
             moved=self._estimator.moved,
             requested=requested,
             synchronized=agree,
-            clear_b=self._clear(now_ns, Chamber.F),
-            clear_f=self._clear(now_ns, Chamber.B),
+            clear_b=self._interlock.clear(now_ns, Chamber.F),
+            clear_f=self._interlock.clear(now_ns, Chamber.B),
             recoverable=not (self._latched and self._latched & Fault.INTERNAL),
         )
         machine.step(now_ns, observed)
@@ -200,13 +200,8 @@ class Firmware:
         if machine.event is Event.LEG_STARTED or machine.event is Event.PAUSE_OVER:
             self._strategy.reset()
 
-    def _clear(self, now_ns: int, chamber: Chamber) -> bool:
-        """Whether a chamber has been off for the interlock time, closing valve included."""
-        last_ns = self._energised_ns[chamber]
-        return last_ns is None or now_ns - last_ns >= self._apart_ns
-
     def _drive(self, now_ns: int, estimate: Estimate) -> Duties:
-        """Ask the strategy while a push is under way, check its answer, and note what is open."""
+        """Ask the strategy while a push is under way, check its answer, and note what is filled."""
         machine = self._machine
         duties = OFF
         if machine.driving:
@@ -220,26 +215,14 @@ class Firmware:
                 apart_ns=self._speeds_ns,
             )
             duties = self._strategy.command(now_ns, estimate, shift)
-            if not self._allowed(now_ns, duties):
+            if not self._interlock.allows(now_ns, duties):
                 machine.fail(Fault.INTERNAL)
                 duties = OFF
         blown = self._blown()
         if machine.event is Event.CONFIRMED:  # SafetyBlow arrives later: hold the coil until then
             duties = one_chamber(blown, self._duties[blown])
-        for chamber, duty in zip((Chamber.B, Chamber.N, Chamber.F), duties, strict=True):
-            if duty > self.config.duty_closed or chamber is blown:
-                self._energised_ns[chamber] = now_ns
+        self._interlock.note(now_ns, duties, blown)
         return duties
-
-    def _allowed(self, now_ns: int, duties: Duties) -> bool:
-        """Whether duties are duties, and backward and forward are not filled too close in time."""
-        closed = self.config.duty_closed
-        b, n, f = duties
-        if not (0.0 <= b <= 1.0 and 0.0 <= n <= 1.0 and 0.0 <= f <= 1.0):
-            return False
-        if b > closed:
-            return f <= closed and self._clear(now_ns, Chamber.F)
-        return f <= closed or self._clear(now_ns, Chamber.B)
 
     def _blown(self) -> Chamber:
         machine = self._machine

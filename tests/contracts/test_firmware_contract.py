@@ -29,7 +29,7 @@ from can_dbc.messages import (
 from controller.config import FirmwareConfig
 from controller.node import ControllerNode
 from controller.strategies import NAMES
-from tests.unit.controller.toy_actuator import GRID_NS, MS, STROKE_M, Stay, pulse_s
+from tests.support.toy_actuator import GRID_NS, MS, STROKE_M, Stay, pulse_s
 
 Sent = list[tuple[int, Frame]]
 BUS_NS = 500_000

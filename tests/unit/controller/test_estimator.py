@@ -20,7 +20,7 @@ from controller.position import (
     Sample,
 )
 from controller.settings import E2eConfig, FilterConfig, SensorConfig
-from tests.unit.controller.toy_actuator import T_K, exact
+from tests.support.toy_actuator import T_K, exact
 
 
 def pulses(positions_m: Sequence[float], start: int = 0) -> list[PositionPulse]:

@@ -16,11 +16,10 @@ from can_dbc.messages import (
 )
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
-from controller.position import Estimate
 from controller.settings import BlowConfig, FilterConfig, SensorConfig, ShiftConfig
-from controller.strategies import Duties, one_chamber
-from tests.unit.controller.invariants import check_invariants, duties
-from tests.unit.controller.toy_actuator import (
+from controller.strategies import one_chamber
+from tests.support.firmware_invariants import check_invariants, duties
+from tests.support.toy_actuator import (
     AT,
     MS,
     STROKE_M,
@@ -299,51 +298,6 @@ class TestPieces:
         initial = E2eState.INIT
         assert Inputs() == ((), None, None, initial, initial, initial)
 
-    @pytest.mark.parametrize("chamber", [Chamber.B, Chamber.N, Chamber.F])
-    def test_a_chamber_is_clear_after_the_interlock_and_the_period_that_it_was_on(
-        self, chamber: Chamber
-    ) -> None:
-        firmware = Firmware(FirmwareConfig())
-        assert firmware._clear(0, chamber)
-        firmware._energised_ns[chamber] = 7
-        assert not firmware._clear(7 + 50 * MS - 1, chamber)
-        assert firmware._clear(7 + 50 * MS, chamber)
-
-    @pytest.mark.parametrize(
-        ("duties", "allowed"),
-        [
-            ((0.0, 0.0, 0.0), True),
-            ((1.0, 1.0, 0.33), True),
-            ((0.33, 1.0, 1.0), True),
-            ((0.331, 0.0, 0.331), False),
-            ((0.33, 0.0, 0.331), True),
-            ((0.331, 0.0, 0.33), True),
-            ((-0.001, 0.0, 0.0), False),
-            ((1.001, 0.0, 0.0), False),
-            ((0.0, -0.001, 0.0), False),
-            ((0.0, 1.001, 0.0), False),
-            ((0.0, 0.0, -0.001), False),
-            ((0.0, 0.0, 1.001), False),
-            ((float("nan"), 0.0, 0.0), False),
-        ],
-    )
-    def test_duties_that_are_none_or_fill_both_ends_are_refused(
-        self, duties: tuple[float, float, float], allowed: bool
-    ) -> None:
-        assert Firmware(FirmwareConfig())._allowed(0, Duties(*duties)) is allowed
-
-    def test_an_end_is_not_filled_while_the_other_is_not_clear(self) -> None:
-        firmware = Firmware(FirmwareConfig())
-        b_only, f_only = Duties(0.98, 0.0, 0.0), Duties(0.0, 0.0, 0.98)
-        firmware._energised_ns[Chamber.F] = 0
-        assert not firmware._allowed(50 * MS - 1, b_only)
-        assert firmware._allowed(50 * MS - 1, f_only)
-        assert firmware._allowed(50 * MS, b_only)
-        firmware._energised_ns[:] = [0, None, None]
-        assert not firmware._allowed(50 * MS - 1, f_only)
-        assert firmware._allowed(50 * MS - 1, b_only)
-        assert firmware._allowed(50 * MS, f_only)
-
     def test_a_position_can_be_implausible_and_lost(self) -> None:
         firmware = Firmware(FirmwareConfig())
         for k in range(12):
@@ -354,9 +308,7 @@ class TestPieces:
 
     def test_a_gear_that_drops_out_alone_is_reported(self) -> None:
         rig = shift(B).run(200)
-        firmware, status = rig.firmware, rig.last.status
-        assert status.confirmed is B
-        firmware._machine.confirmed = U
-        at_rest = Estimate(True, status.estimate_m, status.estimate_m, 0.0, ())
-        out = firmware._report(200 * MS, at_rest, firmware._duties, status.faults, None)
-        assert out.status.confirmed is U
+        assert rig.last.status.confirmed is B
+        rig.stay.position_m = 0.006
+        status = rig.run(400).last.status
+        assert (status.state, status.confirmed) == (S.IDLE, U)

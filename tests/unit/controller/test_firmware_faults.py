@@ -16,8 +16,8 @@ from can_dbc.messages import (
 )
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
-from tests.unit.controller.invariants import check_invariants
-from tests.unit.controller.toy_actuator import (
+from tests.support.firmware_invariants import check_invariants
+from tests.support.toy_actuator import (
     MS,
     STROKE_M,
     B,
@@ -191,13 +191,13 @@ class TestStart:
             0,
             Inputs((pulse,), ShiftRequest(N), DrivelineSpeeds(0.0, 0.0), valid, valid, valid),
         )
-        for changed, fault in (
-            (Inputs((), None, None, none, valid, valid), Fault.POSITION_LOST),
-            (Inputs((), None, None, valid, none, valid), Fault.REQUEST_LOST),
-            (Inputs((), None, None, valid, valid, none), Fault.SPEEDS_LOST),
+        for ms, states, fault in (
+            (1, (none, valid, valid), Fault.POSITION_LOST),
+            (2, (valid, none, valid), Fault.REQUEST_LOST),
+            (3, (valid, valid, none), Fault.SPEEDS_LOST),
         ):
-            now_ns = firmware._now_ns + MS
-            assert firmware.step(now_ns, changed).status.faults == fault
+            inputs = Inputs((), None, None, *states)
+            assert firmware.step(ms * MS, inputs).status.faults == fault
 
     def test_an_invalid_channel_has_no_grace_either(self) -> None:
         firmware = Firmware(FirmwareConfig())

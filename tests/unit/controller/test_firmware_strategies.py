@@ -17,8 +17,8 @@ from controller.config import FirmwareConfig
 from controller.position import Estimate
 from controller.strategies import Duties, ShiftContext
 from controller.strategies.open_loop import OpenLoop
-from tests.unit.controller.invariants import check_invariants, duties
-from tests.unit.controller.toy_actuator import (
+from tests.support.firmware_invariants import check_invariants, duties
+from tests.support.toy_actuator import (
     MS,
     B,
     F,
@@ -55,15 +55,16 @@ class Meddler(OpenLoop):
 class TestStrategies:
     @pytest.fixture
     def meddled(self, monkeypatch: pytest.MonkeyPatch) -> Any:
-        monkeypatch.setattr(
-            module, "create_strategy", lambda config: Meddler(config, OpenLoop.Parameters())
-        )
+        created: list[Meddler] = []
+
+        def create(config: FirmwareConfig) -> Meddler:
+            created.append(Meddler(config, OpenLoop.Parameters()))
+            return created[-1]
+
+        monkeypatch.setattr(module, "create_strategy", create)
 
         def make(start: Gear, *requests: tuple[float, Gear], **more: Any) -> tuple[Rig, Meddler]:
-            rig = shift(start, *requests, **more)
-            strategy = rig.firmware._strategy
-            assert isinstance(strategy, Meddler)
-            return rig, strategy
+            return shift(start, *requests, **more), created[-1]
 
         return make
 

@@ -14,8 +14,8 @@ from can_dbc.messages import E2eState, PositionPulse
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
 from controller.settings import FilterConfig, SensorConfig
+from tests.support.toy_actuator import pulse_s
 from tests.unit.controller.test_filters import delay_at_rest_s
-from tests.unit.controller.toy_actuator import pulse_s
 
 STROKE_M = 0.01285
 STROKE_S = 0.015

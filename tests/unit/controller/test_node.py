@@ -25,10 +25,10 @@ from can_dbc.messages import (
     ValveCommand,
 )
 from controller.config import FirmwareConfig
-from controller.firmware import Firmware
+from controller.firmware import Firmware, Inputs, Outputs
 from controller.node import ControllerNode
 from controller.settings import E2eConfig
-from tests.unit.controller.toy_actuator import MS, pulse_s
+from tests.support.toy_actuator import MS, pulse_s
 
 HEARD = (PositionPulse, ShiftRequest, DrivelineSpeeds)
 
@@ -160,15 +160,31 @@ def test_speeds_reach_the_firmware() -> None:
     assert (out.etc1.input_shaft_rad_s, out.etc1.output_shaft_rad_s) == (10.0, 10.0)
 
 
+class Recorder(Firmware):
+    """The firmware, with a record of its inputs."""
+
+    def __init__(self, config: FirmwareConfig) -> None:
+        super().__init__(config)
+        self.steps: list[Inputs] = []
+
+    def step(self, now_ns: int, inputs: Inputs) -> Outputs:
+        self.steps.append(inputs)
+        return super().step(now_ns, inputs)
+
+
 def test_every_pulse_between_two_ticks_reaches_the_firmware_once() -> None:
-    bus = Bus().awake()
+    bus = Bus()
+    bus.node.firmware = recorder = Recorder(FirmwareConfig())
+    bus.awake()
     places = [0.0001, 0.0002, 0.0003]
     frames = [bus.pulse(x) for x in places]
     bus.tick(*frames)
     count = bus.node.pulses.counts
     assert count[E2eStatus.OK] == 19 + 3
-    assert bus.node.firmware._estimator._last.raw_m == pytest.approx(0.0003, abs=5e-5)
-    assert bus.node._new_pulses == []
+    bus.tick()
+    assert recorder.steps[-1].pulses == ()
+    indices = [pulse.sample_index for step in recorder.steps for pulse in step.pulses]
+    assert indices == list(range(2, 24))  # the first one only starts the sequence
 
 
 def test_own_and_foreign_frames_are_ignored() -> None:

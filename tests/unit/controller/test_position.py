@@ -18,7 +18,7 @@ from controller.position import (
     Sample,
 )
 from controller.settings import SensorConfig, WindowConfig
-from tests.unit.controller.toy_actuator import T_K, exact
+from tests.support.toy_actuator import T_K, exact
 
 
 class TestCalibration:

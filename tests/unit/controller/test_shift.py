@@ -9,7 +9,7 @@ import pytest
 from can_dbc.messages import Fault, Gear, ShiftState
 from controller.settings import BlowConfig, ShiftConfig, WindowConfig
 from controller.shift import TRANSITIONS, Event
-from tests.unit.controller.shift_bench import MS, B, Bench, F, N, S, U
+from tests.support.shift_machine import MS, B, Bench, F, N, S, U
 
 
 class TestInit:

@@ -9,7 +9,7 @@ import pytest
 from can_dbc.messages import Gear, ShiftState
 from controller.settings import BlowConfig
 from controller.shift import Event
-from tests.unit.controller.shift_bench import MS, B, Bench, F, N, S, U
+from tests.support.shift_machine import MS, B, Bench, F, N, S, U
 
 
 class TestBlow:

@@ -9,7 +9,7 @@ import pytest
 from can_dbc.messages import Gear
 from controller.settings import ShiftConfig
 from controller.shift import Event
-from tests.unit.controller.shift_bench import B, Bench, F, N, S, U
+from tests.support.shift_machine import B, Bench, F, N, S, U
 
 
 class TestRequestsDuringAPush:

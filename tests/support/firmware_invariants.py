@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from can_dbc.messages import Chamber, Fault, Gear, ShiftState
 from controller.config import FirmwareConfig
 from controller.firmware import Outputs
-from tests.unit.controller.toy_actuator import Row
+from tests.support.toy_actuator import Row
 
 
 def duties(out: Outputs) -> tuple[float, float, float]:
@@ -50,8 +50,8 @@ def check_invariants(rows: Sequence[Row], config: FirmwareConfig | None = None) 
         assert out.blow.active == (out.blow.chamber is not Chamber.NONE)
         if out.blow.active:
             # the command holds a coil until the blow has taken over: in the blow's first step only
-            held = before is not None and not before.blow.active
-            was_on = duties(before) if before is not None and held else (0.0, 0.0, 0.0)
+            from_command = before is not None and not before.blow.active
+            was_on = duties(before) if before is not None and from_command else (0.0, 0.0, 0.0)
             expected = [0.0, 0.0, 0.0]
             expected[out.blow.chamber] = was_on[out.blow.chamber]
             assert list(duties(out)) == expected
