@@ -15,7 +15,6 @@ ROOT = Path(__file__).resolve().parents[4]
 ELSEWHERE = {
     ("sil/cli/whatif.py", "sensor_delay"),  # a shipped study
     ("plant/batch/lane_steps.py", "alpha_speed"),  # a field of the parameters
-    ("sil/inference/report.py", "unnamed"),  # a verdict
 }
 ORDINARY = {"stribeck", "detent", "unnamed"}
 """Identifiers that are words: they are names of effects only where they are the whole string."""
