@@ -74,8 +74,11 @@ class Detectable:
 
     def __str__(self) -> str:
         main = self.candidate.parameters[0]
-        unit = "" if main.unit == "-" else main.unit
-        return f"{self.candidate.id} from {main.name} {quantity(self.value, unit, 2)}"
+        if main.neutral:
+            size = f"{100.0 * (self.value / main.neutral - 1.0):+.2g} %"
+        else:
+            size = quantity(self.value, "" if main.unit == "-" else main.unit, 2)
+        return f"{self.candidate.id} from {main.name} {size}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the object in `detectable` of diagnosis.json."""
