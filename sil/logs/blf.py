@@ -19,8 +19,6 @@ from sil.logs.report import Location, LogReport
 from sil.logs.source import ByteSource
 from sil.logs.writer import LogWriter
 
-_WRITTEN_CONTAINER: Final = 1 << 17
-
 
 class BlfReader:
     """State of one reading; `tail`: an object that begins in a container and goes on in the next."""
@@ -41,7 +39,7 @@ class BlfReader:
             data, offset = data[rest:], offset + rest
         if len(data) >= layout.OBJECT.size and layout.OBJECT.unpack_from(data)[::4] == (
             b"LOBJ",
-            layout.TYPE_CONTAINER,
+            layout.ObjectType.CONTAINER,
         ):
             yield from self._inside(data, offset, whole=False)
         elif data:
@@ -86,11 +84,11 @@ class BlfReader:
                 break
             body = data[pos : pos + size]
             pos += size
-            if kind == layout.TYPE_CONTAINER and not container:
+            if kind == layout.ObjectType.CONTAINER and not container:
                 yield Batch(frames, locations)
                 frames, locations = [], []
                 yield from self._inside(body, location)
-            elif kind not in layout.FRAME_TYPES:
+            elif kind not in layout.FRAME_LAYOUTS:
                 self._report.other[layout.name_of(kind)] += 1
             else:
                 try:
@@ -105,7 +103,7 @@ class BlfReader:
         """Return the frame of a whole object. Raises ValueError for a broken one."""
         times = layout.TIMES_V1 if version == 1 else layout.TIMES_V2
         flags, _, _, ticks = times.unpack_from(body, layout.OBJECT.size)
-        tick_ns = layout.TICK_NS.get(flags & 3)
+        tick_ns = {1: 10_000, 2: 1}.get(flags & 3)
         if tick_ns is None:
             raise ValueError(f"time flag {flags}, {len(body)} bytes left out")
         return layout.frame_of(
@@ -211,27 +209,22 @@ class BlfWriter(LogWriter):
         self._stop_ns = max(self._stop_ns, frame.time_ns)
         channel = self.channel_number(frame.channel)
         word = frame.can_id | (layout.EXTENDED if frame.extended else 0)
-        flags = (layout.REMOTE if frame.remote else 0) | (frame.direction == "Tx")
-        if not frame.direction and not frame.error:
-            self.losses["direction not recorded, written as Rx"] += 1
+        flags = layout.REMOTE if frame.remote else 0
+        if not frame.error:
+            flags |= self.direction(frame) == "Tx"
         if frame.error:
-            if frame.direction or frame.fd or frame.remote:
-                self.losses["flags of an error frame"] += 1
-            if len(frame.data) > 8:
-                self.losses["bytes of an error frame after the eighth"] += 1
-            kind = layout.TYPE_CAN_ERROR_EXT
-            length = min(len(frame.data), 8)
-            body = layout.CAN_ERROR_EXT.pack(
-                channel, 0, 0, 0, 0, length, 0, word, 0, frame.data[:8]
-            )
+            self.lose(frame.direction or frame.fd or frame.remote, "flags of an error frame")
+            kind = layout.ObjectType.CAN_ERROR_EXT
+            data = self.error_data(frame)
+            body = layout.CAN_ERROR_EXT.pack(channel, 0, 0, 0, 0, len(data), 0, word, 0, data)
         elif frame.fd:
-            kind = layout.TYPE_CAN_FD
+            kind = layout.ObjectType.CAN_FD
             fd_flags = 1 | frame.brs << 1 | frame.esi << 2
             body = layout.CAN_FD.pack(
                 channel, flags, frame.dlc, word, 0, 0, fd_flags, len(frame.data), frame.data
             )
         else:
-            kind = layout.TYPE_CAN
+            kind = layout.ObjectType.CAN
             body = layout.CAN.pack(channel, flags, frame.dlc, word, frame.data)
         header_size = layout.OBJECT.size + layout.TIMES_V1.size
         size = header_size + len(body)
@@ -239,15 +232,15 @@ class BlfWriter(LogWriter):
         self._buffer += layout.TIMES_V1.pack(2, 0, 0, time_ns)
         self._buffer += body
         self._buffer += bytes(size % 4)
-        if len(self._buffer) >= _WRITTEN_CONTAINER:
-            self._container(self._buffer[:_WRITTEN_CONTAINER])
-            del self._buffer[:_WRITTEN_CONTAINER]
+        if len(self._buffer) >= (container_bytes := 1 << 17):
+            self._container(self._buffer[:container_bytes])
+            del self._buffer[:container_bytes]
 
     def _container(self, content: bytearray) -> None:
         packed = zlib.compress(content, 6)
         size = layout.OBJECT.size + layout.CONTAINER.size + len(packed)
         self._out.write(
-            layout.OBJECT.pack(b"LOBJ", layout.OBJECT.size, 1, size, layout.TYPE_CONTAINER)
+            layout.OBJECT.pack(b"LOBJ", layout.OBJECT.size, 1, size, layout.ObjectType.CONTAINER)
         )
         self._out.write(layout.CONTAINER.pack(2, len(content)))
         self._out.write(packed)

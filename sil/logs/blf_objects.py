@@ -7,7 +7,8 @@ on (Technica and Lorenz's Vector BLF, python-can).
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from enum import IntEnum
 from typing import Final
 
 from sil.logs.frame import (
@@ -38,27 +39,32 @@ CAN_FD: Final = struct.Struct("<HBBLLBBB5x64s")
 CAN_FD_64: Final = struct.Struct("<BBBBLLLLLLLHBBL")
 CAN_FD_ERROR_64: Final = struct.Struct("<BBBBHHBxHLLLLLHHL")
 
-TYPE_CAN: Final = 1
-TYPE_CAN_ERROR: Final = 2
-TYPE_CONTAINER: Final = 10
-TYPE_CAN_ERROR_EXT: Final = 73
-TYPE_CAN_2: Final = 86
-TYPE_CAN_FD: Final = 100
-TYPE_CAN_FD_64: Final = 101
-TYPE_CAN_FD_ERROR_64: Final = 104
+
+class ObjectType(IntEnum):
+    """Types of objects that are read."""
+
+    CAN = 1
+    CAN_ERROR = 2
+    CONTAINER = 10
+    CAN_ERROR_EXT = 73
+    CAN_2 = 86
+    CAN_FD = 100
+    CAN_FD_64 = 101
+    CAN_FD_ERROR_64 = 104
+
 
 PLAIN: Final = struct.Struct("<4sHHLLL4xQHBBL8s")
 """A classic frame as a whole: header, time flag, ticks, and `CAN`."""
 
 _PLAIN_HEADERS: Final = frozenset(
-    (b"LOBJ", OBJECT.size + TIMES_V1.size, 1, PLAIN.size, kind) for kind in (TYPE_CAN, TYPE_CAN_2)
+    (b"LOBJ", OBJECT.size + TIMES_V1.size, 1, PLAIN.size, kind)
+    for kind in (ObjectType.CAN, ObjectType.CAN_2)
 )
 EXTENDED: Final = 0x80000000
 REMOTE: Final = 0x80
-TICK_NS: Final = {1: 10_000, 2: 1}
-"""Nanoseconds of one tick, by an object's time flag."""
 
-OTHER_TYPES: Final = {
+_OTHER_TYPES: Final = {
+    **dict.fromkeys((*range(11, 21), *range(54, 64), 75), "LIN event"),
     3: "overload frame",
     4: "bus statistics",
     5: "trigger",
@@ -70,20 +76,18 @@ OTHER_TYPES: Final = {
     115: "unused bytes",
     120: "Ethernet frame",
 }
-_LIN_TYPES: Final = frozenset((*range(11, 21), *range(54, 64), 75))
-FRAME_TYPES: Final = {
-    TYPE_CAN: CAN,
-    TYPE_CAN_2: CAN,
-    TYPE_CAN_ERROR: CAN_ERROR_OLD,
-    TYPE_CAN_ERROR_EXT: CAN_ERROR_EXT,
-    TYPE_CAN_FD: CAN_FD,
-    TYPE_CAN_FD_64: CAN_FD_64,
-    TYPE_CAN_FD_ERROR_64: CAN_FD_ERROR_64,
+FRAME_LAYOUTS: Final = {
+    ObjectType.CAN: CAN,
+    ObjectType.CAN_2: CAN,
+    ObjectType.CAN_ERROR: CAN_ERROR_OLD,
+    ObjectType.CAN_ERROR_EXT: CAN_ERROR_EXT,
+    ObjectType.CAN_FD: CAN_FD,
+    ObjectType.CAN_FD_64: CAN_FD_64,
+    ObjectType.CAN_FD_ERROR_64: CAN_FD_ERROR_64,
 }
-SystemTime = tuple[int, int, int, int, int, int, int, int]
 
 
-def read_systemtime(fields: SystemTime) -> int:
+def read_systemtime(fields: Sequence[int]) -> int:
     """Nanoseconds since 1970 of a Windows SYSTEMTIME (taken as UTC); 0 for none."""
     year, month, _weekday, day, hour, minute, second, milliseconds = fields
     try:
@@ -92,21 +96,13 @@ def read_systemtime(fields: SystemTime) -> int:
         return 0
 
 
-def write_systemtime(time_ns: int) -> SystemTime:
+def write_systemtime(time_ns: int) -> tuple[int, ...]:
     """Return the SYSTEMTIME of a time, all zero for 0; whole milliseconds."""
     if time_ns == 0:
         return (0,) * 8
-    moment = utc_calendar(time_ns)
-    return (
-        moment.year,
-        moment.month,
-        moment.isoweekday() % 7,
-        moment.day,
-        moment.hour,
-        moment.minute,
-        moment.second,
-        time_ns // NS_PER_MS % 1000,
-    )
+    year, month, day, *clock = utc_calendar(time_ns).timetuple()[:6]
+    weekday = utc_calendar(time_ns).isoweekday() % 7
+    return (year, month, weekday, day, *clock, time_ns // NS_PER_MS % 1000)
 
 
 def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
@@ -114,15 +110,15 @@ def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
     signature, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
     if signature != b"LOBJ":
         return "no object begins here"
-    if kind == TYPE_CONTAINER and not 32 <= size <= LARGEST_CONTAINER:
+    if kind == ObjectType.CONTAINER and not 32 <= size <= LARGEST_CONTAINER:
         return f"container of {size} bytes"
-    least = OBJECT.size if kind == TYPE_CONTAINER else OBJECT.size + TIMES_V1.size
+    least = OBJECT.size if kind == ObjectType.CONTAINER else OBJECT.size + TIMES_V1.size
     if version not in (1, 2) or header_size < least or size < header_size:
         return f"object header of version {version} with sizes {header_size} and {size}"
-    layout = FRAME_TYPES.get(kind)
+    layout = FRAME_LAYOUTS.get(kind)
     if layout is not None and not header_size + layout.size <= size <= 1 << 12:
         return f"object of type {kind} with {size} bytes"
-    if size > 1 << 22 and kind != TYPE_CONTAINER:
+    if size > 1 << 22 and kind != ObjectType.CONTAINER:
         return f"object of {size} bytes"
     return None
 
@@ -154,21 +150,19 @@ def next_object(data: bytes, pos: int) -> int:
 
 def name_of(kind: int) -> str:
     """Return the name of objects that are no CAN frames."""
-    return (
-        "LIN event" if kind in _LIN_TYPES else OTHER_TYPES.get(kind, f"BLF object of type {kind}")
-    )
+    return _OTHER_TYPES.get(kind, f"BLF object of type {kind}")
 
 
 def frame_of(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame:
     """Return the frame of an object. Raises ValueError for one that no bus can carry."""
-    if kind in (TYPE_CAN, TYPE_CAN_2):
+    if kind in (ObjectType.CAN, ObjectType.CAN_2):
         channel, flags, dlc, word, data = CAN.unpack_from(body)
         frame = _built(time_ns, word, data[:dlc], channel, flags & 0x0F, dlc, bool(flags & REMOTE))
-    elif kind == TYPE_CAN_FD:
+    elif kind == ObjectType.CAN_FD:
         channel, flags, dlc, word, _, _, fd, length, data = CAN_FD.unpack_from(body)
         remote = bool(flags & REMOTE)
         frame = _built(time_ns, word, data[:length], channel, flags & 0x0F, dlc, remote, fd)
-    elif kind == TYPE_CAN_FD_64:
+    elif kind == ObjectType.CAN_FD_64:
         fields = CAN_FD_64.unpack_from(body)
         channel, dlc, length, _, word, _, flags = fields[:7]
         extra = fields[13]
@@ -177,12 +171,12 @@ def frame_of(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame
         data = body[CAN_FD_64.size :][: max(min(stored, length), 0)].ljust(length, b"\x00")
         remote = bool(flags & 0x10)
         frame = _built(time_ns, word, data, channel, fields[12], dlc, remote, flags >> 12)
-    elif kind == TYPE_CAN_ERROR_EXT:
+    elif kind == ObjectType.CAN_ERROR_EXT:
         fields = CAN_ERROR_EXT.unpack_from(body)
         data = fields[9][: min(fields[5], 8)]
         frame = _built(time_ns, fields[7], data, fields[0], 2, 0, False)._replace(error=True)
     else:
-        fd = kind == TYPE_CAN_FD_ERROR_64
+        fd = kind == ObjectType.CAN_FD_ERROR_64
         channel = (CAN_FD_ERROR_64 if fd else CAN_ERROR_OLD).unpack_from(body)[0]
         frame = LogFrame(time_ns, 0, b"", False, error=True, fd=fd, channel=str(channel))
     if problem := frame_problem(frame):

@@ -24,9 +24,7 @@ from sil.logs.writer import LogWriter
 _ERROR_FLAG: Final = 0x20000000
 _DIRECTIONS: Final = {"": "", "R": "Rx", "T": "Tx"}
 
-_ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _TIME = re.compile(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+")
-_DATE = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{6}|\d{9})\Z")
 _COMPACT = re.compile(r"([!-~]{1,64})\s+([0-9A-Fa-f]{1,8})#(\S*)(?:\s+([RT]))?\s*(?:\s;.*)?\Z")
 _PLAIN: Final = re.compile(
     r"^\((\d{1,10}+)\.(\d++)\) ([!-~]{1,64}+) ([01][0-9A-Fa-f]{7}|[0-7][0-9A-Fa-f]{2})"
@@ -39,18 +37,10 @@ _SCREEN = re.compile(
     r"([!-~]{1,64})\s+(?:(RX|TX) ([BS-]) ([ER-])\s+)?([0-9A-F]{3}|[0-9A-F]{8})\s+"
     r"(?:\[(\d{1,2})\]|\{([0-9A-F])\})(.*)\Z"
 )
-_SCREEN_XL = re.compile(r"\S{1,64}\s.*\[\d{4}\] \([0-9A-F]{2}\|[0-9A-F]{2}:")
-_SCREEN_DATA = re.compile(
-    r"\s*((?:[0-9A-F]{2}|[01]{8})(?:[ `](?:[0-9A-F]{2}|[01]{8}))*)?"
-    r"(?:\s+(?:'.*'|`.*`|ERRORFRAME))?\s*\Z"
-)
 _TRUCKDEVIL = re.compile(
     r"([0-9A-F]{8})\s+([0-9A-F]{2}) ([0-9A-F]{4}) ([0-9A-F]{2}) --> ([0-9A-F]{2}) "
     r"\[(\d{4})\] ([0-9A-F]*)\Z"
 )
-_XL = re.compile(r"[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#")
-_REMOTE = re.compile(r"[Rr](?:([0-8])(?:_([9A-Fa-f]))?)?\Z")
-_DATA = re.compile(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
 
 
@@ -71,7 +61,7 @@ def parse_line(text: str) -> Parsed:
     Raises NotAFrame for a known line that is no frame; ValueError with what is broken.
     """
     if "\x1b" in text:
-        text = _ANSI.sub("", text)
+        text = re.sub(r"\x1b\[[0-9;]*m", "", text)
     line = text.strip()
     if not line or line[0] in "#;":
         raise NotAFrame("")
@@ -88,13 +78,13 @@ def parse_line(text: str) -> Parsed:
         if match := pattern.match(line):
             frame, has_length = parse(match)
             return Parsed(frame._replace(time_ns=time_ns), timed is not None, has_length)
-    if _SCREEN_XL.match(line):
+    if re.match(r"\S{1,64}\s.*\[\d{4}\] \([0-9A-F]{2}\|[0-9A-F]{2}:", line):
         raise NotAFrame("CAN XL frame")
     raise ValueError(f"{line[:40]!r} is no candump line")
 
 
 def _time(text: str) -> int:
-    date = _DATE.match(text)
+    date = re.match(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{6}|\d{9})\Z", text)
     if date is None:
         time_ns = parse_decimal_ns(text)
         if time_ns < 0:
@@ -118,16 +108,16 @@ def _identifier(digits: str) -> tuple[int, bool, bool]:
 
 def _compact(match: re.Match[str]) -> tuple[LogFrame, bool]:
     channel, digits, body, letter = match.groups()
-    if _XL.match(body):
+    if re.match(r"[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#", body):
         raise NotAFrame("CAN XL frame")
     can_id, extended, error = _identifier(digits)
     direction = _DIRECTIONS[letter or ""]
-    if remote := _REMOTE.match(body):
+    if remote := re.match(r"[Rr](?:([0-8])(?:_([9A-Fa-f]))?)?\Z", body):
         code = int(remote[2] or remote[1] or "0", 16)
         flags = extended, True, error, False, False, False
         frame = LogFrame(0, can_id, b"", *flags, channel, direction, code)
         return frame, bool(direction or remote[2])
-    data = _DATA.match(body)
+    data = re.match(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z", body)
     if data is None:
         raise ValueError(f"data {body[:24]!r} is not pairs of hex digits")
     payload = bytes.fromhex(data[2].replace(".", ""))
@@ -149,7 +139,11 @@ def _screen(match: re.Match[str]) -> tuple[LogFrame, bool]:
     if rest.strip() == "remote request":
         flags = extended, True, False, False, False, False
         return LogFrame(0, can_id, b"", *flags, channel, direction, code or length), True
-    body = _SCREEN_DATA.match(rest)
+    body = re.match(
+        r"\s*((?:[0-9A-F]{2}|[01]{8})(?:[ `](?:[0-9A-F]{2}|[01]{8}))*)?"
+        r"(?:\s+(?:'.*'|`.*`|ERRORFRAME))?\s*\Z",
+        rest,
+    )
     if body is None:
         raise ValueError(f"data {rest.strip()[:24]!r} is not bytes")
     words = re.split("[ `]", body[1]) if body[1] else []
@@ -358,21 +352,19 @@ class CandumpWriter(LogWriter):
         if channel and not (channel.isdecimal() and channel.isascii()):
             return channel
         name = f"can{max(int(channel[:6] or 0) - 1, 0)}"
-        self.losses[f"channel {channel or '(unnamed)'} written as {name}"] += 1
+        self.lose(True, f"channel {channel or '(unnamed)'} written as {name}")
         return name
 
     def _special(self, frame: LogFrame, digits: str) -> str:
         if frame.error:
-            if frame.extended or frame.remote or frame.fd:
-                self.losses["flags of an error frame"] += 1
+            self.lose(frame.extended or frame.remote or frame.fd, "flags of an error frame")
             if not frame.can_id and not frame.data:
                 self.losses["error frame without a class written as a bus error"] += 1
                 can_err_buserror = 0x80
                 return f"{_ERROR_FLAG | can_err_buserror:08X}#{bytes(8).hex()}"
             return f"{_ERROR_FLAG | frame.can_id:08X}#{frame.data.hex().upper()}"
         if frame.remote:
-            if frame.fd:
-                self.losses["CAN FD flag of a remote frame"] += 1
+            self.lose(frame.fd, "CAN FD flag of a remote frame")
             length = min(frame.raw_dlc, 8)
             raw = f"_{frame.raw_dlc:X}" if frame.raw_dlc > 8 else ""
             return f"{digits}#R{length or ''}{raw}"

@@ -21,19 +21,17 @@ from sil.logs.times import format_ns, parse_decimal_ns
 from sil.logs.writer import LogWriter
 
 OUR_HEADER: Final = "time_s,channel,direction,id,extended,remote,error,fd,brs,esi,dlc,data"
-_HEX: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z")
 _HEX_BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2})*\Z")
-_FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
 
 
 def _flag(text: str) -> bool:
-    if text.lower() not in _FLAGS:
+    if text.lower() not in ("0", "1", "false", "true"):
         raise ValueError(f"{text[:10]!r} is neither 0 nor 1")
-    return _FLAGS[text.lower()]
+    return text.lower() in ("1", "true")
 
 
 def _identifier(text: str) -> int:
-    match = _HEX.match(text)
+    match = re.match(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z", text)
     if match is None:
         raise ValueError(f"identifier {text[:12]!r} is not hex")
     return int(match[1], 16)
@@ -92,37 +90,38 @@ _COLUMNS: Final[dict[str, Column]] = {
 """The field of a frame that each kind of column holds, and how its text is read."""
 
 
-def _table(header: str, separator: str, columns: str, spread: bool = False) -> Dialect:
-    return Dialect(header, separator, tuple(_COLUMNS[name] for name in columns.split()), spread)
-
-
-_CSS_HEADER: Final = "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs"
-_CSS: Final = "seconds channel id extended dlc length is_tx fd brs"
-DIALECTS: Final = (
-    _table(
-        OUR_HEADER,
-        ",",
-        "seconds channel direction id extended remote error fd brs esi dlc data",
-    ),
-    _table(
-        "timestamp,arbitration_id,extended,remote,error,dlc,data",
-        ",",
-        "seconds id extended remote error length base64",
-    ),
-    _table(
-        "time stamp,id,extended,dir,bus,len,d1",
-        ",",
-        "microseconds id extended way channel length data",
-        spread=True,
-    ),
-    _table(
-        "time stamp,id,extended,bus,len,d1",
-        ",",
-        "microseconds id extended channel length data",
-        spread=True,
-    ),
-    _table(f"{_CSS_HEADER};esi;databytes", ";", f"{_CSS} esi data"),
-    _table(f"{_CSS_HEADER};databytes", ";", f"{_CSS} data"),
+DIALECTS: Final = tuple(
+    Dialect(header, separator, tuple(map(_COLUMNS.__getitem__, columns.split())), spread)
+    for header, separator, columns, spread in (
+        (
+            *(OUR_HEADER, ","),
+            "seconds channel direction id extended remote error fd brs esi dlc data",
+            False,
+        ),
+        (
+            *("timestamp,arbitration_id,extended,remote,error,dlc,data", ","),
+            "seconds id extended remote error length base64",
+            False,
+        ),
+        (
+            *("time stamp,id,extended,dir,bus,len,d1", ","),
+            "microseconds id extended way channel length data",
+            True,
+        ),
+        (
+            *("time stamp,id,extended,bus,len,d1", ","),
+            "microseconds id extended channel length data",
+            True,
+        ),
+        *(
+            (
+                f"timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;{esi}databytes",
+                *(";", f"seconds channel id extended dlc length is_tx fd brs {esi[:-1]} data"),
+                False,
+            )
+            for esi in ("esi;", "")
+        ),
+    )
 )
 
 

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 KINDS: Final = ("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")
-BATCH_FRAMES: Final = 2048
-EXACT_SPAN_NS: Final = 4_000_000 * 10**9
-"""Times are seconds in a double; up to here (46 days) these are exact to the ns."""
 
 
 def import_asammdf(path: str) -> Any:
@@ -204,9 +201,9 @@ def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
             if len(times_s) < stated:
                 report.cut(Location(f"{len(times_s)} of {stated} {kind} records"))
         frames.sort(key=lambda pair: pair[0] if ordered else pair[1].time_ns)
-        for begin in range(0, len(frames), BATCH_FRAMES):
+        for begin in range(0, len(frames), LogWriter.batch):
             possible, numbers = [], []
-            for index, (_, frame) in enumerate(frames[begin : begin + BATCH_FRAMES], begin + 1):
+            for index, (_, frame) in enumerate(frames[begin : begin + LogWriter.batch], begin + 1):
                 if problem := frame_problem(frame):
                     report.skip(Location(f"frame {index}: {problem}"))
                 else:
@@ -336,13 +333,14 @@ class Mf4Writer(LogWriter):
         rows = np.zeros(len(frames), fields)
         for part, column in parts.items():
             rows[f"{kind}.{part}"] = column
+        exact_ns = 4_000_000 * 10**9  # up to here seconds in a double are exact to the ns
         for frame in frames:
-            if not frame.direction:
-                self.losses["direction not recorded, written as Rx"] += 1
-            if abs(frame.time_ns - self.start_ns) > EXACT_SPAN_NS:
-                self.losses["times more than 46 days from the start, rounded"] += 1
-            if frame.error and frame.remote:
-                self.losses["remote flag of an error frame"] += 1
+            self.direction(frame)
+            self.lose(
+                abs(frame.time_ns - self.start_ns) > exact_ns,
+                "times more than 46 days from the start, rounded",
+            )
+            self.lose(frame.error and frame.remote, "remote flag of an error frame")
         # whole seconds and the rest apart: one rounding, to the double nearest to the decimal
         return rows, offsets_ns // 10**9 + (offsets_ns % 10**9) / 1e9
 
