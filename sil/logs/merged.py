@@ -21,9 +21,6 @@ from sil.logs.report import LogReport
 from sil.logs.selection import Selection
 from sil.logs.times import NS_PER_S, RELATIVE_BELOW_NS, format_ns
 
-_BYTES_PER_MB = 1e6
-_TIME = itemgetter(0)
-
 
 @dataclass
 class _Part:
@@ -190,7 +187,7 @@ class Logs:
         with Progress(f"reading {self.path[:60]}", "MB") as progress:
             for block in blocks:
                 passed = sum(reader.passed_bytes for reader in readers)
-                progress(passed / _BYTES_PER_MB, sum(r.size for r in readers) / _BYTES_PER_MB)
+                progress(passed / 1e6, sum(r.size for r in readers) / 1e6)
                 yield block
 
 
@@ -199,7 +196,7 @@ def _alone(files: list[tuple[int, int, LogFrame, _Open]], next_ns: int) -> Itera
     _, number, frame, file = files.pop()
     block = [frame, *file.rest]
     while block:
-        if max(map(_TIME, block)) < next_ns:
+        if max(map(itemgetter(0), block)) < next_ns:
             yield block
             block = next(file.blocks, [])
             continue

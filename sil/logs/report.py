@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
@@ -16,7 +16,6 @@ MOST_LOCATIONS: Final = 10
 
 
 _CUT: Final = "cut off at"
-_NOT_ASCII: Final = re.compile(r"(?:[\x80-\xff]|\\x[89a-f][0-9a-f])+")
 
 
 def printable(text: str) -> str:
@@ -24,7 +23,7 @@ def printable(text: str) -> str:
 
     Logs are read as Latin-1, so that every byte is a character; UTF-8 in them is shown as such.
     """
-    text = _NOT_ASCII.sub(_as_utf8, text)
+    text = re.sub(r"(?:[\x80-\xff]|\\x[89a-f][0-9a-f])+", _as_utf8, text)
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
@@ -145,14 +144,18 @@ class LogReport:
     def faults(self) -> str:
         """What is not whole, in one line; empty if it is `clean`."""
         parts = [note for note in self.notes if self.truncated and _CUT in note]
-        for title, count, first in (
-            ("broken and skipped", self.skipped, self.skipped_locations[:1]),
-            ("clock steps backwards", self.backwards, self.backwards_locations[:1]),
-            ("duplicates", self.duplicates, self.duplicate_locations[:1]),
-        ):
-            if count:
-                parts.append(f"{title}: {count}, the first {first[0]}")
+        for title, count, locations in self._broken():
+            parts.append(f"{title}: {count}, the first {locations[0]}")
         return "; ".join(parts)
+
+    def _broken(self) -> Iterator[tuple[str, int, Sequence[object]]]:
+        """Yield the kinds of what is broken, with count and locations."""
+        kinds: tuple[tuple[str, int, Sequence[object]], ...] = (
+            ("broken and skipped", self.skipped, self.skipped_locations),
+            ("clock steps backwards", self.backwards, self.backwards_locations),
+            ("duplicates", self.duplicates, self.duplicate_locations),
+        )
+        return (kind for kind in kinds if kind[1])
 
     def lockstep_line(self) -> str:
         """Return what was left out of the capture of a lockstep run; empty if it is none."""
@@ -176,21 +179,14 @@ class LogReport:
             f"{counted(self.frames, 'frame')} ({self.format}, {self.time_base} times)",
             *self.files,
         ]
-        for name in ("error", "remote", "fd"):
-            count = getattr(self, name)
-            if count:
-                lines.append(f"  of them {name}: {count}")
+        shares = {"error": self.error, "remote": self.remote, "fd": self.fd}
+        lines += [f"  of them {name}: {count}" for name, count in shares.items() if count]
         lines += [f"not frames: {count} {name}" for name, count in sorted(self.other.items())]
         if left_out := self.lockstep_line():
             lines.append(left_out)
-        for title, count, locations in (
-            ("broken and skipped", self.skipped, [str(one) for one in self.skipped_locations]),
-            ("clock steps backwards", self.backwards, self.backwards_locations),
-            ("duplicates", self.duplicates, self.duplicate_locations),
-        ):
-            if count:
-                lines.append(f"{title}: {count}")
-                lines += [f"  {location}" for location in locations]
-                if count > len(locations):
-                    lines.append(f"  and {count - len(locations)} more")
+        for title, count, locations in self._broken():
+            lines.append(f"{title}: {count}")
+            lines += [f"  {location}" for location in locations]
+            if count > len(locations):
+                lines.append(f"  and {count - len(locations)} more")
         return lines + self.notes

@@ -7,14 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain
-from typing import Final
 
 from can_dbc.errors import InputError
 from can_dbc.frame import MAX_ID, split_id
 from sil.logs.frame import MAX_STANDARD_ID, MAX_TIME_NS, LogFrame
 from sil.logs.times import RELATIVE_BELOW_NS, parse_decimal_ns, utc_ns
-
-_HEX: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z")
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,7 @@ def _time(option: str, text: str) -> int:
 
 
 def _identifier(text: str) -> tuple[int, bool]:
-    match = _HEX.match(text)
+    match = re.match(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z", text)
     if match is None or int(match[1], 16) > (MAX_STANDARD_ID if len(match[1]) < 4 else MAX_ID):
         raise InputError(
             f"--id: {text[:40]!r}; expected hex, up to 3 digits of a standard identifier, 4 to 8 of an "

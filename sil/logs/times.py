@@ -12,12 +12,6 @@ from typing import Final
 NS_PER_S: Final = 1_000_000_000
 NS_PER_MS: Final = 1_000_000
 _MONTHS: Final = "jan feb mar apr may jun jul aug sep oct nov dec".split()  # noqa: SIM905
-_FOREIGN_MONTHS: Final = {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
-_TEXT: Final = re.compile(
-    r"(?:\w+\.?\s+)?(\w{3})\w*\.?\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,6}))?"
-    r"(?:\s+([ap]m))?\s+(\d{4})\s*\Z",
-    re.IGNORECASE,
-)
 RELATIVE_BELOW_NS: Final = 315_532_800 * NS_PER_S
 """Times before 1980 are taken as counted from the start of a log, not from 1970."""
 
@@ -85,11 +79,17 @@ def parse_date(text: str) -> int | None:
     Weekday in any language, month in English or German, 12 or 24 hours; the zone is not written
     and taken as UTC.
     """
-    match = _TEXT.match(text.strip())
+    match = re.match(
+        r"(?:\w+\.?\s+)?(\w{3})\w*\.?\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,6}))?"
+        r"(?:\s+([ap]m))?\s+(\d{4})\s*\Z",
+        text.strip(),
+        re.IGNORECASE,
+    )
     if match is None:
         return None
     name = match[1].lower()
-    month = _MONTHS.index(name) + 1 if name in _MONTHS else _FOREIGN_MONTHS.get(name, 0)
+    german = {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
+    month = _MONTHS.index(name) + 1 if name in _MONTHS else german.get(name, 0)
     hour = int(match[3])
     half = (match[7] or "").lower()
     if half:

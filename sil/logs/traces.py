@@ -44,7 +44,6 @@ _OF_CHAMBER: Final = {
     "current": "current of the coil of valve {}",
     "valve": "plunger of valve {}: 1 supply, 0 atmosphere",
 }
-_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\[\]]*\Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +64,8 @@ def comment_of(name: str) -> str:
     """Return what a signal of a trace or a campaign is, "" for one of neither."""
     if name in _COMMENTS:
         return _COMMENTS[name]
-    found = re.fullmatch(r"(pressure|cmd|current|valve)_([BNF12])(?:_p?a)?", name)
-    return _OF_CHAMBER[found[1]].format(found[2]) if found else ""
+    match = re.fullmatch(r"(pressure|cmd|current|valve)_([BNF12])(?:_p?a)?", name)
+    return _OF_CHAMBER[match[1]].format(match[2]) if match else ""
 
 
 def is_trace_csv(path: str) -> bool:
@@ -143,7 +142,7 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
 
     names = _header(source)
     for name in names:
-        if not _NAME.match(name) or names.count(name) > 1:
+        if not re.match(r"[A-Za-z_][A-Za-z0-9_.\[\]]*\Z", name) or names.count(name) > 1:
             raise InputError(
                 f"{source}: line 1: column {name[:40]!r}; expected distinct names of signals"
             )

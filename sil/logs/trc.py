@@ -54,8 +54,6 @@ _FD_TYPES: Final = {
 }
 """Bit rate switch and error state of the types of CAN FD frames."""
 
-_IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
-
 
 class TrcReader(TextReader):
     """State of one reading: version, columns, and the instant the offsets count from."""
@@ -174,7 +172,10 @@ class TrcReader(TextReader):
         length_text = column["L"] if coded else column["l"]
         if not (length_text.isdecimal() and int(length_text) <= (15 if coded else 64)):
             raise ValueError(f"length {length_text[:10]!r}")
-        if kind != "ER" and not _IDENTIFIER.match(digits):
+        is_hex = re.match(r"[0-9A-Fa-f]{1,8}\Z", digits)
+        if kind == "ER" and not is_hex:
+            digits = "0"
+        elif not is_hex:
             raise ValueError(f"identifier {digits[:10]!r}")
         length = int(length_text)
         if coded and kind in _FD_TYPES:
@@ -198,7 +199,7 @@ class TrcReader(TextReader):
         data = b"" if remote else _bytes(words, length if fd else min(length, 8))
         return LogFrame(
             self._time(offset),
-            0 if error and not _IDENTIFIER.match(digits) else int(digits, 16),
+            int(digits, 16),
             data,
             len(digits) > 4 and not error,
             *(remote, error, fd, brs, esi),

@@ -43,19 +43,10 @@ class Mf4Builder:
         """Set a link of a block."""
         struct.pack_into("<Q", self.blob, address + 24 + 8 * index, target)
 
-    def data_list(self, following: int, blocks: Sequence[int]) -> int:
-        """A DL block."""
-        body = struct.pack("<B3xI", 0, len(blocks)) + bytes(8 * len(blocks))
-        return self.block(b"DL", [following, *blocks], body)
-
-    def text(self, text: str) -> int:
-        """A TX block."""
-        return self.block(b"TX", [], text.encode() + b"\x00")
-
     def channels(self, fields: Sequence[Field], data_link: int = 0) -> int:
         """A chain of channels; fields named `X.y` go into the structure X before them."""
-        top: list[tuple[int, str]] = []
-        chains: dict[str, int] = {}
+        first = 0
+        last: dict[str, tuple[int, int]] = {}
         for field in fields:
             conversion = 0
             if field.conversion is not None:
@@ -64,7 +55,16 @@ class Mf4Builder:
                 body += struct.pack(f"<{len(values)}d", *values)
                 conversion = self.block(b"CC", [0, 0, 0, 0], body)
             data = data_link if field.kind == 1 else 0
-            links = [0, 0, self.text(field.name), 0, conversion, data, 0, 0]
+            links = [
+                0,
+                0,
+                self.block(b"TX", [], field.name.encode() + b"\0"),
+                0,
+                conversion,
+                data,
+                0,
+                0,
+            ]
             sync = 1 if field.kind in (2, 3) else 0
             body = struct.pack(
                 "<BBBBIIIIBBHdddddd",
@@ -73,19 +73,13 @@ class Mf4Builder:
             )
             address = self.block(b"CN", links, body)
             parent = field.name.rpartition(".")[0]
-            if parent:
-                last = chains.get(parent)
-                if last is None:
-                    owner = next(a for a, name in top if name == parent)
-                    self.link(owner, 1, address)
-                else:
-                    self.link(last, 0, address)
-                chains[parent] = address
-            else:
-                if top:
-                    self.link(top[-1][0], 0, address)
-                top.append((address, field.name))
-        return top[0][0]
+            previous, index = last.get(parent, (0, 0))
+            if previous:
+                self.link(previous, index, address)
+            last[parent] = address, 0
+            last.setdefault(field.name, (address, 1))
+            first = first or address
+        return first
 
     def group(
         self, record_id: int, first_channel: int, size: int, cycles: int = 0, flags: int = 6
@@ -99,9 +93,8 @@ class Mf4Builder:
         return self.block(b"DG", [0, first_group, data, 0], struct.pack("<B7x", id_size))
 
 
-TIME = Field("Timestamp", 0, 0, 64, 4, 2, (1, (0.0, 1e-9)))
 DATA_FRAME = (
-    TIME,
+    Field("Timestamp", 0, 0, 64, 4, 2, (1, (0.0, 1e-9))),
     Field("CAN_DataFrame", 8, 0, 112, 10),
     Field("CAN_DataFrame.BusChannel", 8, 1, 2),
     Field("CAN_DataFrame.ID", 8, 3, 29),
@@ -113,19 +106,10 @@ DATA_FRAME = (
     Field("CAN_DataFrame.EDL", 13, 0, 1),
 )
 ERROR_FRAME = (
-    Field("Timestamp", 0, 0, 64, 4, 2, (1, (0.0, 1e-9))),
+    DATA_FRAME[0],
     Field("CAN_ErrorFrame", 8, 0, 8, 10),
     Field("CAN_ErrorFrame.BusChannel", 8, 0, 2),
 )
-
-
-def data_record(
-    time_ns: int, can_id: int, data: bytes, offset: int, extended: bool = True
-) -> bytes:
-    """A record of `DATA_FRAME` on channel 1, received."""
-    word = can_id << 3 | 1 << 1 | extended
-    flags = len(data) << 1
-    return struct.pack("<dIBBQ", float(time_ns), word, flags, len(data) << 4, offset)
 
 
 def logger_file(
@@ -154,7 +138,8 @@ def logger_file(
         if can_id is None:
             records += b"\x03" + struct.pack("<dB", float(time_ns), 1)
             continue
-        records += b"\x01" + data_record(time_ns, can_id, payload, offset)
+        word, size = can_id << 3 | 0b011, len(payload)  # channel 1, extended; received
+        records += b"\x01" + struct.pack("<dIBBQ", time_ns, word, size << 1, size << 4, offset)
         records += b"\x02" + struct.pack("<I", len(payload)) + payload
         offset += 4 + len(payload)
     build.link(data_group, 2, build.block(b"DT", []))

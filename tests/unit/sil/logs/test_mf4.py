@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import random
 import struct
 import sys
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,6 @@ from tests.unit.sil.logs.mf4_builder import (
     DATA_FRAME,
     Field,
     Mf4Builder,
-    data_record,
     logger_file,
     signal_file,
 )
@@ -54,93 +51,6 @@ def test_a_logger_file(tmp_path: Path) -> None:
     assert any("did not finish" in note for note in report.notes)
 
 
-def sorted_file(
-    events: Events,
-    *,
-    cycles: int | None = None,
-    packed: int | None = None,
-    lists: bool = False,
-    id_size: int = 0,
-    record: int = 22,
-    fields: Sequence[Field] = DATA_FRAME,
-) -> bytes:
-    """A finished file: one group, data in SD blocks, records in DT, DZ or lists of them."""
-    build = Mf4Builder(finished=True)
-    build.block(b"HD", [0] * 6, struct.pack("<QhhBBBB", START_NS, 0, 0, 0, 0, 0, 0) + bytes(16))
-    values, records, offset = b"", b"", 0
-    for time_ns, can_id, data in events:
-        records += bytes(id_size) + data_record(time_ns, can_id, data, offset)
-        values += struct.pack("<I", len(data)) + data
-        offset += 4 + len(data)
-    value_block = build.block(b"SD", [], values)
-    count = len(events) if cycles is None else cycles
-    group = build.group(0, build.channels(fields, value_block), record, cycles=count)
-
-    def block_of(content: bytes) -> int:
-        if packed is None:
-            return build.block(b"DT", [], content)
-        columns = record if packed == 1 else 0
-        plain = content
-        if packed == 1:
-            rows = len(content) // columns
-            body = content[: rows * columns]
-            plain = b"".join(body[i::columns] for i in range(columns)) + content[rows * columns :]
-        squeezed = zlib.compress(plain)
-        head = struct.pack("<2sBBIQQ", b"DT", packed, 0, columns, len(content), len(squeezed))
-        return build.block(b"DZ", [], head + squeezed)
-
-    if lists:
-        parts = [block_of(records[i : i + 30]) for i in range(0, len(records), 30)]
-        second = build.data_list(0, parts[1:])
-        first = build.data_list(second, parts[:1])
-        data = build.block(b"HL", [first], bytes(8))
-    else:
-        data = block_of(records)
-    build.link(64, 0, build.data_group(group, data, id_size))
-    return bytes(build.blob)
-
-
-@pytest.mark.parametrize("packed", [None, 0, 1])
-@pytest.mark.parametrize("lists", [False, True])
-@pytest.mark.parametrize("id_size", [0, 1, 8])
-def test_sorted_files(packed: int | None, lists: bool, id_size: int, tmp_path: Path) -> None:
-    blob = sorted_file(EVENTS, packed=packed, lists=lists, id_size=id_size)
-    frames, report = read(blob, tmp_path)
-    assert frames == expected(EVENTS)
-    assert report.clean
-
-
-@pytest.mark.parametrize("size", [0, 2**31])
-def test_records_of_impossible_sizes(size: int, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"outside of its record|records of"):
-        read(sorted_file(EVENTS, record=size), tmp_path)
-
-
-@pytest.mark.parametrize("packed", [0, 1, 2])
-def test_files_of_asammdf(packed: int, tmp_path: Path) -> None:
-    """Also python-can's own group layout, plain, packed and transposed."""
-    asammdf = importlib.import_module("asammdf")
-    path, again = tmp_path / "log.mf4", tmp_path / "again.mf4"
-    frames = expected([(i * 1000, i, bytes([i % 256]) * (i % 9)) for i in range(3000)])
-    with open_writer(path) as writer:
-        for frame in frames:
-            writer.write(frame)
-    with asammdf.MDF(path) as measurement:
-        measurement.save(again, compression=packed, overwrite=True)
-    assert list(open_log(again)) == frames
-
-
-def test_logger_file_is_what_asammdf_reads(tmp_path: Path) -> None:
-    asammdf = importlib.import_module("asammdf")
-    path = tmp_path / "log.mf4"
-    path.write_bytes(logger_file(EVENTS, START_NS))
-    with asammdf.MDF(path) as measurement:
-        ids = measurement.get("CAN_DataFrame.ID", group=0).samples
-        times = measurement.get("CAN_DataFrame.ID", group=0).timestamps
-    assert list(ids) == [event[1] for event in EVENTS]
-    assert list(times) == pytest.approx([event[0] / 1e9 for event in EVENTS], abs=1e-12)
-
-
 def test_signals_only_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds decoded signals only \(engine_speed, .*no CAN"):
         read(signal_file(), tmp_path)
@@ -162,13 +72,19 @@ def test_a_file_without_header_is_named(tmp_path: Path) -> None:
         read(b"", tmp_path)
 
 
-def other_layout(fields: Sequence[Field], records: bytes, size: int) -> bytes:
+def other_layout(fields: Sequence[Field], records: bytes, size: int, *, cycles: int = 0) -> bytes:
     """A finished file with records of another layout."""
     build = Mf4Builder(finished=True)
     build.block(b"HD", [0] * 6, bytes(32))
-    group = build.group(0, build.channels(fields), size, cycles=len(records) // size)
+    group = build.group(0, build.channels(fields), size, cycles=cycles or len(records) // size)
     build.link(64, 0, build.data_group(group, build.block(b"DT", [], records), 0))
     return bytes(build.blob)
+
+
+@pytest.mark.parametrize("size", [0, 2**31])
+def test_records_of_impossible_sizes(size: int, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"outside of its record|records of"):
+        read(other_layout(DATA_FRAME, bytes(66), size, cycles=3), tmp_path)
 
 
 def test_times_as_whole_numbers_of_microseconds(tmp_path: Path) -> None:
