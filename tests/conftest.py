@@ -45,6 +45,16 @@ def opc4(tmp_path: Path) -> Run:
     return functools.partial(run_opc4, tmp_path)
 
 
+@pytest.fixture
+def runtime_folder(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """Keep the sockets of local channels in a folder of this test's, with a short path."""
+    folder = tmp_path_factory.mktemp("r")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    return folder
+
+
 def _environment() -> dict[str, str]:
     import os
 

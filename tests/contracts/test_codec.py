@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import textwrap
 from dataclasses import fields, replace
 from enum import IntEnum, IntFlag
 from fractions import Fraction
@@ -154,17 +153,6 @@ def test_encodes_off_the_grid_like_cantools(message_type: type, draw: st.DataObj
 
 
 @every_message
-def test_identity_at_the_ends_of_every_range(message_type: type) -> None:
-    for end in (0, 1):
-        values = {field: raw_limits(message_type, field)[end] for field in SIGNALS[message_type]}
-        for field in values:
-            if kind_of(message_type, field)[0] is str:
-                values[field] = (0, 0xFEFE)[end]
-        frame = their_frame(message_type, values)
-        assert encode(decode(frame)) == frame
-
-
-@every_message
 @given(draw=st.data())
 @settings(max_examples=40, deadline=None)
 def test_any_bytes_are_a_message_or_refused(message_type: type, draw: st.DataObject) -> None:
@@ -210,10 +198,6 @@ def test_lengths_other_than_8_are_refused(message_type: type) -> None:
     for length in (0, 1, 7, 9):
         with pytest.raises(CodecError, match=f"{length} bytes; expected 8"):
             decode(Frame(can_id_of(message_type), bytes(length)))
-
-
-def test_every_message_is_in_the_union_of_its_kind() -> None:
-    assert set(get_args(m.Message)) == set(codec.SIGNALS)
 
 
 def test_unknown_identifiers_are_refused() -> None:
@@ -395,22 +379,6 @@ def test_every_unit_by_hand() -> None:
         assert getattr(decode(frame), field) == pytest.approx(getattr(message, field), rel=1e-15)
 
 
-def test_a_number_with_an_offset() -> None:
-    """A temperature of J1939: -273 to 1735 in steps of 1/32, 16 bits."""
-    spec = codec.spec_of(m.PositionPulse).signal("CoilTemperature")
-    number = codec._number(
-        spec._replace(offset=-273.0, minimum=-273.0, maximum=1735.0, factor=1 / 32)
-    )
-    assert number.expected == "-273 to 1735"
-    assert [number.to_raw(value) for value in (-273.0, 20.0, 1735.0)] == [0, 9376, 64256]
-    assert [number.from_raw(raw) for raw in (0, 9376, 64256)] == [-273.0, 20.0, 1735.0]
-    for wrong in (-273.1, 1735.1):
-        with pytest.raises(ValueError):
-            number.to_raw(wrong)
-    with pytest.raises(ValueError):
-        number.from_raw(64257)
-
-
 def test_rounding_is_half_to_even() -> None:
     resolution = 50.0
     for raw, expected in ((0.5, 0), (1.5, 2), (2.5, 2), (2.51, 3), (3.49, 3)):
@@ -419,22 +387,6 @@ def test_rounding_is_half_to_even() -> None:
     for raw, expected in ((-0.5, 0), (-1.5, -2), (-2.5, -2)):
         motion = m.PlantMotion(0.0, raw * 0.5e-3, 0.0, 0.0)
         assert decode(encode(motion)) == m.PlantMotion(0.0, expected * 0.5e-3, 0.0, 0.0)
-
-
-def test_resolutions_are_fine_enough() -> None:
-    resolution = {
-        (m.ValveCommand, "duty_b"): 0.005,
-        (m.PositionPulse, "pulse_s"): 1e-6,
-        (m.ControllerStatus, "estimate_m"): 1e-6,
-        (m.PlantMotion, "position_m"): 1e-6,
-        (m.PlantPressures, "pressure_b_pa"): 100.0,
-        (m.DrivelineSpeeds, "input_rad_s"): 0.125 * 2 * math.pi / 60,
-        (m.Etc1, "input_shaft_rad_s"): 0.125 * 2 * math.pi / 60 * (1 + 1e-12),
-    }
-    for (message_type, field), coarsest in resolution.items():
-        signal = signal_of(message_type, field)
-        assert signal.scale * SI_PER_UNIT.get(signal.unit, 1.0) <= coarsest * (1 + 1e-12)
-    assert signal_of(m.PlantPressures, "supply_pa").maximum >= 16e5
 
 
 def test_etc1_as_other_tools_lay_it_out() -> None:
@@ -453,11 +405,7 @@ def test_etc1_as_other_tools_lay_it_out() -> None:
 
 def test_etc2_as_other_tools_lay_it_out() -> None:
     sent = m.Etc2(
-        selected_gear=-1,
-        gear_ratio=3.5,
-        current_gear=0,
-        requested_range="R1",
-        current_range=" N",
+        selected_gear=-1, gear_ratio=3.5, current_gear=0, requested_range="R1", current_range=" N"
     )
     frame = encode(sent)
     assert frame == Frame(0x18F00503, bytes.fromhex("7C AC 0D 7D 52 31 20 4E"))
@@ -502,10 +450,6 @@ def test_every_unused_bit_of_our_own_messages_is_looked_at() -> None:
     assert looked > 100
 
 
-def test_unused_bits_are_sent_as_1() -> None:
-    assert encode(m.ShiftRequest(m.Gear.FORWARD)).data == bytes.fromhex("00 E0 FF FF FF FF FF FF")
-
-
 def test_truth_values_of_numpy_and_flags() -> None:
     import numpy as np
 
@@ -522,16 +466,8 @@ def test_truth_values_of_numpy_and_flags() -> None:
 
 
 def test_a_codec_that_contradicts_itself_says_so() -> None:
-    own = codec._MessageCodec(m.ShiftRequest)
     with pytest.raises(AssertionError, match="although every field can be sent"):
-        own.refuse_message(m.ShiftRequest(m.Gear.FORWARD))
-
-
-def test_what_is_kept_does_not_grow_without_end() -> None:
-    decode(encode(PULSE))
-    for kept in (codec._codec(m.PositionPulse).framed, codec._decoder(can_id_of(m.PositionPulse))):
-        most = kept.cache_info().maxsize  # type: ignore[attr-defined]
-        assert most is not None and most < 10_000
+        codec._MessageCodec(m.ShiftRequest).refuse_message(m.ShiftRequest(m.Gear.FORWARD))
 
 
 def in_new_process(code: str) -> str:
@@ -550,18 +486,3 @@ def test_the_hot_path_does_without_cantools() -> None:
     ).split()
     assert "e2e" in loaded
     assert not {"cantools", "can", "numpy", "bitstruct", "textparser"} & set(loaded)
-
-
-def test_importing_the_codec_loads_the_standard_library_and_little_else() -> None:
-    code = """
-        import sys
-        before = set(sys.modules)
-        from can_dbc import codec
-        loaded = set(sys.modules) - before
-        print(*(name for name in loaded if name.split(".")[0] not in sys.stdlib_module_names))
-        assert codec.contract.cache_info().currsize == 0, "reads no file"
-    """
-    assert set(in_new_process(textwrap.dedent(code)).split()) == {
-        "can_dbc",
-        *(f"can_dbc.{name}" for name in ("codec", "contract", "errors", "frame", "messages")),
-    }

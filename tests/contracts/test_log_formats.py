@@ -129,14 +129,6 @@ def test_frames_come_back(fmt: Format, start_ns: int, tmp_path: Path) -> None:
     assert bool(writer.losses) is not lossless
 
 
-@every_format
-def test_strict_reading_of_a_sound_log(fmt: Format, tmp_path: Path) -> None:
-    frames = every_kind(fmt.channels, ABSOLUTE_NS)
-    path = tmp_path / f"log.{fmt.suffix}"
-    write(path, frames)
-    assert len(list(open_log(path, strict=True))) == len(frames)
-
-
 def random_frames(
     fmt: Format,
     seed: int,
@@ -316,18 +308,6 @@ def test_duplicates_stay_and_are_counted(fmt: Format, tmp_path: Path) -> None:
         list(open_log(path, strict=True))
 
 
-@every_format
-def test_unknown_identifiers_pass_untouched(fmt: Format, tmp_path: Path) -> None:
-    ids = [0x1FFFFFFF, 0x1ABCDE, 0x800, 1 << 28]
-    frames = [
-        LogFrame(i * 1000, can_id, bytes([i]), channel=fmt.channels[0], direction="Rx")
-        for i, can_id in enumerate(ids)
-    ]
-    path = tmp_path / f"log.{fmt.suffix}"
-    write(path, frames)
-    assert list(open_log(path)) == frames
-
-
 def as_python_can(frame: LogFrame) -> tuple[Any, ...]:
     return (
         frame.can_id,
@@ -410,33 +390,6 @@ def test_we_read_python_can(fmt: Format, tmp_path: Path) -> None:
         found.sort(key=lambda f: (f.time_ns, as_python_can(f)))
     assert [as_python_can(f) for f in found] == [as_python_can(f) for f in frames]
     assert reader.report.skipped == 0
-
-
-def test_asammdf_reads_ours(tmp_path: Path) -> None:
-    asammdf = importlib.import_module("asammdf")
-    frames = random_frames(FORMATS[4], 4)
-    write(tmp_path / "log.mf4", frames)
-    rows = []
-    with asammdf.MDF(tmp_path / "log.mf4") as measurement:
-        start_ns = measurement.header.abs_time
-        for number, group in enumerate(measurement.groups):
-            name = group.channel_group.acq_name
-            signal = measurement.get(name, group=number)
-            for row, time_s in zip(signal.samples, signal.timestamps, strict=True):
-                part = {key.partition(".")[2]: row[key] for key in row.dtype.names}
-                data = bytes(part.get("DataBytes", b""))[: int(part.get("DataLength", 0))]
-                flags = tuple(bool(part[flag]) for flag in ("IDE", "EDL", "BRS", "ESI", "Dir"))
-                head = int(part["Order"]), start_ns + round(time_s * 1e9), name
-                rows.append((*head, int(part["ID"]), data, *flags))
-    expected = [
-        (
-            *(number, f.time_ns),
-            "CAN_ErrorFrame" if f.error else "CAN_RemoteFrame" if f.remote else "CAN_DataFrame",
-            *(f.can_id, f.data, f.extended, f.fd, f.brs, f.esi, f.direction == "Tx"),
-        )
-        for number, f in enumerate(frames)
-    ]
-    assert sorted(rows) == expected
 
 
 @pytest.mark.skipif(shutil.which("log2asc") is None, reason="can-utils is not installed")

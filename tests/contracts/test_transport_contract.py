@@ -27,7 +27,6 @@ from sil.coupling.processes import ChildProcess
 from sil.coupling.real_time import Pacer
 from sil.coupling.transports import address
 from sil.coupling.transports.channel import ParticipantLost, Timeouts
-from sil.coupling.transports.hub import Hub
 from sil.coupling.transports.socketcan import CanSocket
 from sil.recording.recorder import BUS_LOG, PLANT_TRACE
 from sil.recording.run_reader import open_trace
@@ -41,11 +40,7 @@ every_transport = pytest.mark.parametrize("transport", ["inproc", "local", VCAN]
 every_remote_transport = pytest.mark.parametrize("transport", ["local", VCAN])
 
 
-@pytest.fixture(autouse=True)
-def _short_socket_folder(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.getbasetemp()))
+pytestmark = pytest.mark.usefixtures("runtime_folder")
 
 
 @pytest.fixture(scope="module")
@@ -272,12 +267,7 @@ def test_who_never_comes_is_named(transport: str, tmp_path: Path) -> None:
     ],
 )
 def test_an_unsuited_participant_is_refused_and_changes_nothing(
-    transport: str,
-    name: str,
-    options: tuple[str, ...],
-    reason: str,
-    tmp_path: Path,
-    reference: str,
+    transport: str, name: str, options: tuple[str, ...], reason: str, tmp_path: Path, reference: str
 ) -> None:
     with toy_run(transport, tmp_path / "run", END_NS, scenario=4710) as run:
         run.lockstep.advance(100 * MS)
@@ -327,26 +317,6 @@ def test_the_channel_is_free_again_after_a_run_that_was_killed(
     with toy_run(transport, tmp_path / "next", END_NS) as run:
         run.lockstep.run()
     assert run.sha256() == reference
-
-
-def test_a_socket_left_behind_is_replaced(tmp_path: Path, reference: str) -> None:
-    path = address.socket_path(channel_name("local").removeprefix("local:"))
-    left = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    left.bind(str(path))
-    left.close()
-    assert path.is_socket()
-    with toy_run("local", tmp_path / "run", END_NS) as run:
-        run.lockstep.run()
-    assert run.sha256() == reference
-
-
-def test_a_file_in_place_of_the_socket_is_refused_and_left_as_it_was() -> None:
-    path = address.socket_path(channel_name("local").removeprefix("local:"))
-    path.write_text("mine")
-    with pytest.raises(RunError, match="Address already in use"):
-        Hub(str(path), [])
-    assert path.read_text() == "mine"
-    path.unlink()
 
 
 GARBAGE = [b"x", b"\xff" * 15, b"\xff" * 16, b"\x00" * 32, b"\xa5" * 40000, os.urandom(160)]

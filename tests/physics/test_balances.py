@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.kernel.layout import LengthState
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
@@ -45,13 +44,3 @@ def test_pressure_starts_to_move_8_ms_and_35_ms_after_the_commands(kind: str, va
     assert rising == pytest.approx(0.018, abs=2e-5)
     falling = times[np.argmax(pressure)]
     assert falling == pytest.approx(0.235, abs=2e-5)
-
-
-def test_a_pulse_shorter_than_the_opening_delay_leaves_no_trace() -> None:
-    conditions = StrokeConditions("N-B", 9e5, ((0.01, "B", 0.98), (0.0179, "B", 0.0)))
-    stroke = simulate(NOMINAL, conditions, np.array([0.0, 0.3]), internal=False)
-    assert stroke.events == ()
-    assert (
-        np.ptp(stroke.states[:, [LengthState.p_b, LengthState.p_n, LengthState.p_f]], axis=0).max()
-        < 1e-4
-    )

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from plant.kernel.layout import FIXED, LENGTH, FixedState, LengthState, Parameters
-from plant.parts import chamber
-from plant.parts.chamber import pressure_rate
 from tests.physics.bare import SMOOTH, Bare
 
 SHUT = {Parameters.k_in: 0.0, Parameters.k_out: 0.0}
@@ -53,24 +49,3 @@ def test_shut_length_stroke_keeps_p_v_to_the_exponent(exponent: float) -> None:
     ):
         product = pressure * volume**exponent
         assert product == pytest.approx(np.full(len(product), product[0]), rel=1e-6)
-
-
-def test_isothermal_and_adiabatic_rates_differ_by_gamma_alone() -> None:
-    rates = [pressure_rate.py_func(3e5, 0.0, a, 1e-4, 2e-4) for a in (1.0, 1.4)]
-    assert rates[0] == pytest.approx(-3e5 * 2e-4 / 1e-4)
-    assert rates[1] == pytest.approx(1.4 * rates[0])
-
-
-def test_exponents_follow_the_valves_actual_position(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chamber, "valve_flow_in", lambda *_: 0.5)
-    monkeypatch.setattr(chamber, "valve_flow_out", lambda *_: 0.7)
-    monkeypatch.setattr(chamber, "pressure_rate", pressure_rate.py_func)
-    monkeypatch.setattr(chamber, "openings", lambda u, _: (u, 1.0 - u))
-    gas = SimpleNamespace(r_air=287.05)
-
-    def rate(u: float) -> float:
-        exponents = (0.94, 0.87, 1.5, 1.05)
-        return float(chamber.chamber.py_func(3e5, u, 0.0, 1e-4, 2e-4, 9e5, exponents, gas, None)[0])
-
-    assert rate(1.0) == pytest.approx((287.05 * 0.94 * 0.5 - 0.87 * 3e5 * 2e-4) / 1e-4)
-    assert rate(0.0) == pytest.approx((-287.05 * 1.5 * 0.7 - 1.05 * 3e5 * 2e-4) / 1e-4)

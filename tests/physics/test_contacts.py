@@ -9,7 +9,7 @@ import pytest
 
 from plant.kernel.layout import FIXED, LENGTH, LengthState, Parameters
 from plant.systems.setup import make_setup
-from plant.systems.stroke import StrokeConditions, run_setup, simulate
+from plant.systems.stroke import StrokeConditions, run_setup
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, Bare
 
 FREE = {**AIRLESS, **SMOOTH}
@@ -143,26 +143,6 @@ def test_arrival_in_neutral_stops_stay_and_piston_at_the_same_instant() -> None:
         0.0,
         0.0,
     )
-
-
-@pytest.mark.parametrize(("kind", "valve"), [("B-N", "N"), ("F-N", "N")])
-def test_a_shift_to_neutral_ends_at_zero_with_the_pistons_on_their_stops(
-    kind: str, valve: str
-) -> None:
-    conditions = StrokeConditions(kind, 9e5, ((0.01, valve, 0.98),))
-    stroke = simulate(NOMINAL, conditions, np.array([0.0, 0.2]), internal=False)
-    last = stroke.states[-1]
-    for index in (
-        LengthState.x_s,
-        LengthState.x_1,
-        LengthState.x_2,
-        LengthState.v_s,
-        LengthState.v_1,
-        LengthState.v_2,
-    ):
-        assert abs(last[index]) < 1e-12
-    assert stroke.impact is not None
-    assert stroke.impact.position_m == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_stop_with_rebound_keeps_the_momentum_of_the_pistons_that_leave_it() -> None:

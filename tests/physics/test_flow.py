@@ -14,10 +14,9 @@ from plant.kernel.layout import FIXED, FixedState, FlowMap, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from tests.physics.bare import NOMINAL, STUCK, Bare
-from tests.reference.parts import Flow, nominal, theoretical_flow
+from tests.reference.parts import theoretical_flow
 
 C = FlowMap(flow_coefficients(NOMINAL))
-MAPS = Flow(nominal())
 P_ATM = 101325.0
 SUPPLIES = (6e5, 9e5)
 CRITICAL = (2.0 / 2.4) ** 3.5
@@ -55,16 +54,6 @@ def test_maps_do_not_jump_and_do_not_kink_at_their_joints() -> None:
         before = (flow(joint - 1e-12) - flow(joint - step)) / step
         after = (flow(joint + step) - flow(joint + 1e-12)) / step
         assert after == pytest.approx(before, rel=2e-4)
-
-
-@given(st.floats(5e3, 1.2e6), st.sampled_from(SUPPLIES))
-def test_maps_agree_with_the_equations_written_again(pressure: float, supply: float) -> None:
-    assert charge.py_func(pressure, supply, C) == pytest.approx(
-        MAPS.charge(pressure, supply), rel=1e-9, abs=1e-9
-    )
-    assert discharge.py_func(pressure, P_ATM, C) == pytest.approx(
-        MAPS.discharge(pressure, P_ATM), rel=1e-9, abs=1e-9
-    )
 
 
 def test_theoretical_flow_is_continuous_at_the_critical_ratio() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from plant.kernel.layout import FIXED, FixedState, Parameters
-from plant.parts.friction import breakaway, sliding
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, STUCK, Bare
 
@@ -54,13 +53,6 @@ def test_coulomb_and_viscous_friction_stop_as_the_logarithm_says(direction: floa
     assert rig.events[0].time_s == pytest.approx(MASS / beta * growth, abs=1e-9)
     travel = MASS / beta * (speed - force / beta * growth)
     assert rig.position_m == pytest.approx(0.2 + direction * travel, abs=1e-9)
-
-
-def test_stribeck_friction_falls_from_static_to_coulomb() -> None:
-    assert sliding.py_func(0.0, 71.0, 50.9, 38.8, 0.01) == pytest.approx(71.0)
-    assert sliding.py_func(1.0, 71.0, 50.9, 38.8, 0.01) == pytest.approx(50.9 + 38.8)
-    assert sliding.py_func(0.0, 71.0, 50.9, 38.8, 0.0) == 50.9
-    assert breakaway.py_func(71.0, 152.7) == 152.7
 
 
 @pytest.mark.parametrize("static", [12.0, 25.0])
@@ -127,15 +119,3 @@ def test_three_times_the_dynamic_friction_does_not_chatter() -> None:
     p = stroke.packed
     net = at[FixedState.p_1] * p.area_p - at[FixedState.p_2] * p.area_p2 - p.p_atm * p.area_s
     assert net == pytest.approx(152.7, abs=0.01)  # F_sf in effect, not the 71 N below it
-
-
-def test_length_stroke_with_three_times_the_dynamic_friction_does_not_chatter() -> None:
-    names = ("F_rf_s", "F_rf_p", "beta_s", "beta_p")
-    heavy = NOMINAL.override(
-        {f"friction_length.{n}": 3.0 * NOMINAL.value(f"friction_length.{n}") for n in names}
-    )
-    for kind, valve in (("N-B", "B"), ("B-N", "N")):
-        conditions = StrokeConditions(kind, 9e5, ((0.01, valve, 0.98),))
-        stroke = simulate(heavy, conditions, np.array([0.0, 0.3]), internal=False)
-        assert stroke.impact is not None
-        assert len(stroke.events) < 20

@@ -12,14 +12,7 @@ from tests.physics.strokes import ALL, conditions_of
 from tests.reference.actuator import Case, Happening, Solution, actuator
 
 TIME_S = np.arange(0, 3001) * 1e-4
-FAST = (
-    "fixed",
-    "fixed compressible",
-    "N-B",
-    "N-F truck sync",
-    "B-N charged",
-    "F-N truck",
-)
+FAST = ("fixed", "fixed compressible", "N-B", "N-F truck sync", "B-N charged", "F-N truck")
 SLOW = tuple(sorted(set(ALL) - set(FAST)))
 
 # The judge's name of an event -> ours.

@@ -35,7 +35,6 @@ def within(actuator: LengthStroke, y: np.ndarray) -> None:
     assert y[:, [LengthState.p_b, LengthState.p_n, LengthState.p_f]].min() > 5e4
     assert actuator.balance().closed
     assert len(actuator.events) < 400
-    assert actuator._control.steps < 20_000
 
 
 def run(
@@ -81,20 +80,6 @@ def test_both_engaging_chambers_charged(load: str, start: str) -> None:
     # B and F push against each other: until B is vented nothing reaches the other end
     if start == "N":
         assert np.abs(y[:1900, LengthState.x_s]).max() < STROKE
-
-
-@pytest.mark.parametrize("charged", [("B",), ("N",), ("F",), ("B", "N", "F"), ("B", "F")])
-def test_chambers_charged_at_the_start_and_vented_in_neutral(charged: tuple[str, ...]) -> None:
-    actuator = LengthStroke(NOMINAL, charged=charged)
-    index = {"B": 0, "N": 1, "F": 2}
-    y = run(actuator, 300, [(10 * MS, index[name], 0.0) for name in sorted(charged)])
-    within(actuator, y)
-
-
-def test_all_three_charged_at_once() -> None:
-    actuator = LengthStroke(NOMINAL, initial="B")
-    y = run(actuator, 400, [(10 * MS, k, 1.0) for k in range(3)] + [(250 * MS, 0, 0.0)])
-    within(actuator, y)
 
 
 def test_venting_neutral_in_the_middle_of_the_motion_and_charging_it_again() -> None:

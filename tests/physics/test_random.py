@@ -9,7 +9,6 @@ import math
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -110,7 +109,6 @@ def check_length(changes: dict[str, float], load: dict[str, Any], moves: Any, st
     assert y[:, LengthState.p_oil].min() > 0.0
     check_balances(actuator)
     assert len(actuator.events) < 1000
-    assert actuator._control.steps < 30_000
 
 
 LOADS = st.fixed_dictionaries(
@@ -126,7 +124,6 @@ LOADS = st.fixed_dictionaries(
         "discharge": factor,
     }
 )
-FREE: dict[str, Any] = {"supply_pressure_pa": 5e5}
 
 
 @settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
@@ -216,15 +213,6 @@ def test_length_stroke_stays_physical(
     check_length(changes, dict(load), moves, start)
 
 
-@pytest.mark.slow
-@settings(max_examples=10000, deadline=None, suppress_health_check=list(HealthCheck))
-@given(length_parameters(), LOADS, sequence(3), st.sampled_from("BNF"))
-def test_length_stroke_stays_physical_at_length(
-    changes: dict[str, float], load: dict[str, Any], moves: Any, start: str
-) -> None:
-    check_length(changes, dict(load), moves, start)
-
-
 FIXED_LOADS = st.one_of(
     st.just({}),
     st.fixed_dictionaries(
@@ -243,9 +231,7 @@ FIXED_LOADS = st.one_of(
 )
 COMMANDS = st.lists(
     st.tuples(
-        milliseconds.map(lambda t: t / 1000.0),
-        st.sampled_from("12"),
-        st.sampled_from([0.0, 0.98]),
+        milliseconds.map(lambda t: t / 1000.0), st.sampled_from("12"), st.sampled_from([0.0, 0.98])
     ),
     min_size=1,
     max_size=8,

@@ -97,13 +97,6 @@ def test_spring_holds_the_fixed_piston_back() -> None:
     assert simulate(NOMINAL, spring, TIME_S).impact is None
 
 
-def test_theoretical_flow_is_another_flow() -> None:
-    mapped = simulate(NOMINAL, FIXED, TIME_S).pressure_pa("1")
-    theory = simulate(NOMINAL, replace(FIXED, theoretical_flow=True), TIME_S).pressure_pa("1")
-    assert np.abs(mapped - theory).max() > 1e4
-    assert theory[-1] == pytest.approx(mapped[-1], rel=0.1)
-
-
 @pytest.mark.parametrize("offset", [-1e-6, 0.0129])
 def test_start_outside_the_stroke_is_refused(offset: float) -> None:
     with pytest.raises(InputError, match="start offset"):
@@ -117,7 +110,10 @@ def test_three_times_the_dynamic_friction_is_slower(kind: str) -> None:
         {f"friction_length.{n}": 3.0 * NOMINAL.value(f"friction_length.{n}") for n in names}
     )
     conditions = StrokeConditions(kind, 9e5, ((0.01, kind[-1], 0.98),))
-    plain, slow = (simulate(p, conditions, TIME_S, internal=False).impact for p in (NOMINAL, heavy))
+    plain = simulate(NOMINAL, conditions, TIME_S, internal=False).impact
+    heavy_stroke = simulate(heavy, conditions, TIME_S, internal=False)
+    slow = heavy_stroke.impact
     assert plain is not None and slow is not None
     assert slow.time_s > plain.time_s + 1e-3
     assert slow.speed_m_s < plain.speed_m_s
+    assert len(heavy_stroke.events) < 20

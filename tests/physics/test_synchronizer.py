@@ -148,12 +148,6 @@ def test_the_stroke_is_held_until_the_quadrature_of_its_driving_force_reaches_th
     assert integral == pytest.approx(impulse, rel=2e-3)
 
 
-def test_without_an_impulse_nothing_is_blocked() -> None:
-    rig = Bare(LENGTH, {**FREE, Parameters.f_external: 400.0}, walked(1.0))
-    rig.advance(200 * MS)
-    assert rig.names() == ["stop"]
-
-
 def test_out_of_gear_the_synchronizer_lets_the_stay_pass_and_blocks_the_other_side() -> None:
     changes = {**FREE, Parameters.f_external: -400.0, Parameters.sync_impulse: 10.0}
     rig = Bare(

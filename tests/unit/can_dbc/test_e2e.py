@@ -337,21 +337,3 @@ def test_what_is_wrong_with_a_frame_is_reported() -> None:
     unused = with_counter(m.ShiftRequest, Frame(good.can_id, bytes(8)), 0)
     assert receiver.receive(0, unused) is S.ERROR
     assert receiver.reason.startswith("opc4.dbc: ShiftRequest: unused bits of")
-
-
-def test_statuses_and_states_have_the_words_that_reports_use() -> None:
-    assert {status.name: status.value for status in S} == {
-        "OK": "ok",
-        "OK_SOME_LOST": "ok, some lost",
-        "REPEATED": "repeated",
-        "WRONG_SEQUENCE": "wrong sequence",
-        "ERROR": "error",
-        "NO_NEW_DATA": "no new data",
-        "INITIAL": "initial",
-        "SYNC": "sync",
-    }
-    assert {state.name: state.value for state in V} == {
-        "INIT": "init",
-        "VALID": "valid",
-        "INVALID": "invalid",
-    }

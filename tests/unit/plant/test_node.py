@@ -242,24 +242,11 @@ def test_truth_frames_tell_the_state_at_their_release(lab: Run) -> None:
         assert pressures.supply_pa == 900_000.0
 
 
-@pytest.mark.parametrize("kind", ["off", "stuck", "intermittent", "slow", "garbage"])
-def test_sensor_faults_reach_the_bus(kind: str) -> None:
-    fault = msgspec.convert({"kind": kind, "start_s": 0.05}, SensorFault)
+def test_a_sensor_fault_reaches_the_bus() -> None:
+    fault = SensorFault(kind="slow", start_s=0.05)
     plain = Run(PlantConfig(), SHIFT_TO_B, 300).of(PositionPulse)
     faulty = Run(PlantConfig(sensor_faults=(fault,)), SHIFT_TO_B, 300).of(PositionPulse)
-    assert faulty[:5] == plain[:5]
-    reported = [m.pulse_s for _, m in faulty[5:] if isinstance(m, PositionPulse)]
-    match kind:
-        case "off":
-            assert reported == []
-        case "stuck":
-            assert len(set(reported)) == 1 and len(reported) == 25
-        case "intermittent":
-            assert 4 <= len(reported) <= 21 and set(faulty[5:]) < set(plain[5:])
-        case "slow":
-            assert faulty[5:] == plain[5::4]
-        case "garbage":
-            assert len(set(reported)) > 20
+    assert faulty == plain[:5] + plain[5::4]
 
 
 # --- driver, valves and loads ---------------------------------------------------------------------
@@ -271,15 +258,6 @@ def test_dead_controller_closes_the_valve_at_the_stated_instant() -> None:
         ("valve_B_close", pytest.approx(0.0704 + 0.03 + 0.035, abs=1e-12)),
     ]
     assert run.rows["cmd_B"][[100, 101]].tolist() == [pytest.approx(0.98, abs=1e-4), 0.0]
-
-
-def test_pulse_shorter_than_the_opening_delay_moves_nothing() -> None:
-    def retract(frames: list[BusFrame]) -> None:
-        frames[10] = (frames[10][0] - 3 * MS, frames[10][1])
-
-    run = Run(PlantConfig(), [(0, OFF), (40, INTO_B), (50, OFF)], 120, tamper=retract)
-    assert [name for _, name, _ in run.events] == ["coil_B_on", "coil_B_off", "balance"]
-    assert run.node.stroke.position_m == 0.0
 
 
 def test_still_charged_chamber_vents_after_its_valve_has_closed() -> None:
@@ -460,24 +438,6 @@ def test_damaged_frames_never_move_a_wrong_valve(damage: list[tuple[int, bytes]]
     run = Run(PlantConfig(trace_period_s=0.01), [(0, OFF), (40, INTO_B)], 300, tamper=tamper)
     names = {name for _, name, _ in run.events if name.startswith(("coil", "valve"))}
     assert names <= {"coil_B_on", "coil_B_off", "valve_B_open", "valve_B_close"}
-
-
-# --- configuration ------------------------------------------------------------------------------
-def test_configuration_is_typed_and_closed() -> None:
-    config = PlantConfig(
-        initial="B", charged=("N",), sensor_faults=(SensorFault(kind="off"),), damper="compressible"
-    )
-    assert msgspec.json.decode(msgspec.json.encode(config), type=PlantConfig) == config
-    for text in (
-        '{"initial": "R"}',
-        '{"unknown": 1}',
-        '{"sensor": {"period_s": 0}}',
-        '{"sensor_faults": [{"kind": "tired"}]}',
-        '{"speeds_period_s": 1.0}',
-        '{"driveline": {"cone_gain_m": -1.0}}',
-    ):
-        with pytest.raises(msgspec.ValidationError):
-            msgspec.json.decode(text.encode(), type=PlantConfig)
 
 
 def test_impossible_parameters_are_named() -> None:

@@ -57,15 +57,6 @@ def test_small_holding_duty_closes_in_6_ms() -> None:
     assert delays_ms(hold=0.36)[1] == pytest.approx(6.0, abs=0.3)
 
 
-@pytest.mark.parametrize("was_open", [False, True])
-def test_closed_at_33_percent_and_open_at_35(was_open: bool) -> None:
-    for duty, is_open in ((0.33, False), (0.35, True)):
-        one = CoilValve(TIMING, CoilConfig(), was_open, 0.98 if was_open else 0.0)
-        one.command(0, duty)
-        one.moves(1000 * MS)
-        assert one.is_open == is_open
-
-
 def test_thresholds_come_out_where_the_delays_have_them() -> None:
     """At rest both models agree for every duty but those between the thresholds of the delays."""
     for percent in (*range(0, 33, 8), 33, 35, *range(36, 101, 16)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -136,14 +135,6 @@ def test_a_rig_without_synchronizer_blocks_only_when_told_to() -> None:
 
 
 def test_impossible_values_are_refused() -> None:
-    for text in ('{"inertia_kg_m2": 0.0}', '{"impulse_forward_n_s": -1}', '{"engine_delay_s": -1}'):
-        with pytest.raises(msgspec.ValidationError, match="Expected `float` >"):
-            msgspec.json.decode(text.encode(), type=DrivelineConfig)
-    for value in (float("nan"), float("inf"), -1e9):
-        with pytest.raises(msgspec.ValidationError, match="residual_rad_s"):
-            msgspec.convert({"residual_rad_s": value}, DrivelineConfig)
-    with pytest.raises(msgspec.ValidationError, match="unknown field"):
-        msgspec.json.decode(b'{"output": 1}', type=DrivelineConfig)
     with pytest.raises(InputError, match=r"synchronizer.x_block: "):
         Driveline(DrivelineConfig(), 0.0, 0.0)
     driveline = Driveline(DrivelineConfig(), X_BLOCK, 0.0)

@@ -77,10 +77,7 @@ def test_curve_is_the_integral_of_the_flow(flow, table, place, charging):
     def rate(_, r):
         return [sign * phi(flow, charging, r[0]) / head.rate]
 
-    for start, first, last in (
-        (head.start, 0.0, border),
-        (head.split, border, border + 18.0),
-    ):
+    for start, first, last in ((head.start, 0.0, border), (head.split, border, border + 18.0)):
         tau = np.linspace(first, last, 400)[1:-1]
         truth = solve_ivp(
             rate, (first, last), [start], method="DOP853", rtol=1e-12, atol=1e-14, t_eval=tau

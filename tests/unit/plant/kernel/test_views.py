@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numba import TypingError
 
-from plant.kernel import checked, views
+from plant.kernel import checked
 from plant.kernel.records import Record, Value, block, interleaved
 from plant.kernel.views import discarding, lane, named, view
 
@@ -159,9 +159,3 @@ def test_checked_views_check_their_bounds():
 def test_strided_arrays_are_refused():
     with pytest.raises(TypingError, match="C-contiguous"):
         double_from(np.zeros((4, 4))[:, 0], 0)
-
-
-def test_type_names_tell_views_apart():
-    first = views.View(numba.types.float64, 8)
-    second = views.View(numba.types.float64, 8, zeros=("last",))
-    assert first != second

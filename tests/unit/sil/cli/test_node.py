@@ -11,10 +11,7 @@ import pytest
 from sil import cli
 from sil.simulation import build, load_scenario, scenario
 
-
-@pytest.fixture(autouse=True)
-def _runtime(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+pytestmark = pytest.mark.usefixtures("runtime_folder")
 
 
 def test_a_node_says_at_once_what_it_waits_for(capsys: pytest.CaptureFixture[str]) -> None:

@@ -186,19 +186,6 @@ def test_a_filter_that_does_nothing_changes_nothing(sent: list[Offer], stops: li
     assert filtered.statistics == perfect.statistics
 
 
-@given(offers)
-@settings(max_examples=100, deadline=None)
-def test_busy_period_is_the_sum_of_its_frames(sent: list[Offer]) -> None:
-    bus = BusModel()
-    at_once = [Offer(0, offer.frame) for offer in sent]
-    arrived = run(bus, at_once, [])
-    total_ns = sum(duration_ns(offer.frame) + GAP for offer in at_once)
-    assert bus.statistics.busy_ns == total_ns
-    if arrived:
-        assert arrived[-1].arrival_ns == total_ns - GAP
-    assert bus.load == pytest.approx(total_ns / 60_000_000)
-
-
 def test_statistics_and_load() -> None:
     bus = BusModel()
     assert bus.load == 0.0

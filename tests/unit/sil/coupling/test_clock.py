@@ -42,10 +42,3 @@ def test_next_tick_is_the_first_of_the_schedule_after(
     assert tick > after or tick == phase >= after
     assert (tick - phase) % period == 0 and tick >= phase
     assert tick - period <= after or tick == phase
-
-
-def test_a_tick_is_followed_by_the_next_one() -> None:
-    assert next_tick(10, 5) == 15
-    assert next_tick(9, 5) == 10
-    assert next_tick(0, 5, 3) == 3
-    assert next_tick(3, 5, 3) == 8

@@ -102,23 +102,6 @@ def test_published_bounds(length: int) -> None:
     assert shortest_frame_bits(length, True) + INTERMISSION_BITS == 67 + 8 * length
 
 
-def test_frame_stuffed_by_hand() -> None:
-    """Standard, identifier 0x555, no data.
-
-    0 10101010101 0 0 0 0000: nineteen bits that end in seven zeros behind a one. A stuff bit
-    follows the fifth of them. The remainder of the division is worked out by `divided`; it starts
-    with two bits that must not complete another run, which the assertion on it pins down.
-    """
-    bits = plain_bits(0x555, b"", False)
-    assert bits == "0" + "10101010101" + "000" + "0000"
-    crc = divided(bits)
-    written_out = "0" + "10101010101" + "00000" + "1" + "00" + crc
-    assert "00000" not in "00" + crc
-    assert "11111" not in crc
-    assert stuffed(bits + crc) == written_out
-    assert frame_bits(0x555, b"", False) == len(written_out) + 10 == 1 + 11 + 7 + 1 + 15 + 10
-
-
 def test_frame_of_zeros_by_hand() -> None:
     """Standard, identifier 0, eight zero bytes: SOF to data is 19 + 64 bits.
 
@@ -131,20 +114,6 @@ def test_frame_of_zeros_by_hand() -> None:
     by_hand = "000001" * 3 + "1" + "000001" * 13 + "00"
     assert stuffed(bits) == by_hand
     assert frame_bits(0, bytes(8), False) == len(by_hand) + len(stuffed("00" + crc)) - 2 + 10
-
-
-def test_the_usual_example_by_hand() -> None:
-    """Standard, identifier 0x14 = 00000010100, one byte 0x01.
-
-    Zeros run from SOF into the identifier, from its end to r0, and through the data.
-    """
-    assert stuffed(plain_bits(0x14, b"\x01", False)) == (
-        "00000" + "1" + "00" + "10100" + "000" + "1" + "0001" + "00000" + "1" + "001"
-    )
-    header, count = header_bits(0x14, 1, False)
-    crc = crc15(header << 8 | 1, count + 8)
-    assert f"{crc:015b}" == "111011101010011"  # no run of five in it
-    assert frame_bits(0x14, b"\x01", False) == (19 + 8) + 3 + 15 + 10
 
 
 @pytest.mark.parametrize(

@@ -165,16 +165,11 @@ def test_stamps_are_the_latest_instant_with_their_low_bits() -> None:
         assert epoch_ns((EPOCH - ago) & ((1 << 48) - 1), EPOCH) == EPOCH - ago
 
 
-@pytest.fixture
-def _runtime(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-
-
 def message(can_id: int = 0x0CFF2503, **how: Any) -> can.Message:
     return can.Message(**{"arbitration_id": can_id, "is_extended_id": True, "data": b"12"} | how)
 
 
-@pytest.mark.usefixtures("_runtime")
+@pytest.mark.usefixtures("runtime_folder")
 def test_everybody_sends_on_a_free_running_bus() -> None:
     relay = Relay("bench")
     try:
@@ -198,7 +193,7 @@ def test_everybody_sends_on_a_free_running_bus() -> None:
         relay.close()
 
 
-@pytest.mark.usefixtures("_runtime")
+@pytest.mark.usefixtures("runtime_folder")
 def test_a_bus_that_does_not_come_is_reported() -> None:
     reported: list[str] = []
     with pytest.raises(RunError, match=r"no run on local:nobody within 0\.05 s"):

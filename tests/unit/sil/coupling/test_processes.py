@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import textwrap
@@ -123,10 +122,3 @@ def test_a_core_is_shared_as_long_as_the_block_lasts() -> None:
     with sharing_one_core([child.pid]) as core:
         assert core is None, "a process that is gone is nobody to share with"
     assert os.sched_getaffinity(0) == before
-
-
-def test_signals_have_names() -> None:
-    child = ChildProcess("plant", python("import time; time.sleep(600)"))
-    os.kill(child.pid, signal.SIGTERM)
-    assert child.how_it_ended(10.0) == "was killed by SIGTERM"
-    child.end(0.0)

@@ -11,19 +11,14 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from sil.coupling.transports import address
 
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path_factory.mktemp("r")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
-    return folder
+pytestmark = pytest.mark.usefixtures("runtime_folder")
 
 
-def test_a_name_is_a_socket_in_a_folder_of_this_user_only(runtime: Path) -> None:
-    assert address.socket_path("demo") == runtime / "opc4" / "demo.sock"
-    assert (runtime / "opc4").stat().st_mode & 0o777 == 0o700
+def test_a_name_is_a_socket_in_a_folder_of_this_user_only(runtime_folder: Path) -> None:
+    assert address.socket_path("demo") == runtime_folder / "opc4" / "demo.sock"
+    assert (runtime_folder / "opc4").stat().st_mode & 0o777 == 0o700
     assert address.socket_path("./here") == Path("here")
-    assert address.socket_path(f"{runtime}/b.sock") == runtime / "b.sock"
+    assert address.socket_path(f"{runtime_folder}/b.sock") == runtime_folder / "b.sock"
 
 
 def test_without_a_runtime_folder_it_is_one_for_temporary_files(
@@ -45,13 +40,13 @@ def test_a_path_too_long_for_a_socket_is_refused() -> None:
         address.socket_path("/" + "a" * 107)
 
 
-def test_a_folder_open_to_others_is_refused(runtime: Path) -> None:
-    (runtime / "opc4").mkdir()
-    (runtime / "opc4").chmod(0o755)
+def test_a_folder_open_to_others_is_refused(runtime_folder: Path) -> None:
+    (runtime_folder / "opc4").mkdir()
+    (runtime_folder / "opc4").chmod(0o755)
     with pytest.raises(RunError, match="nobody else may enter"):
         address.folder()
-    (runtime / "opc4").rmdir()
-    (runtime / "opc4").symlink_to(runtime)
+    (runtime_folder / "opc4").rmdir()
+    (runtime_folder / "opc4").symlink_to(runtime_folder)
     with pytest.raises(RunError, match="nobody else may enter"):
         address.folder()
 

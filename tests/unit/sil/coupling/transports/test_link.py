@@ -220,9 +220,7 @@ def test_every_other_stop_is_an_early_one(code: int) -> None:
 # --- a participant's main loop ------------------------------------------------------------------
 
 
-@pytest.fixture(autouse=True)
-def _runtime(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+pytestmark = pytest.mark.usefixtures("runtime_folder")
 
 
 class Counter:

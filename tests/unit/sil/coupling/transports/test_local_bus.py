@@ -7,6 +7,7 @@ import random
 import select
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import can
 import pytest
@@ -17,14 +18,11 @@ from sil.coupling.transports import server, wire
 from sil.coupling.transports.hub import Hub
 from sil.coupling.transports.local import LocalBus
 
-
-@pytest.fixture(autouse=True)
-def _runtime(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+pytestmark = pytest.mark.usefixtures("runtime_folder")
 
 
 @pytest.fixture
-def hub() -> Iterator[Hub]:
+def hub(runtime_folder: Path) -> Iterator[Hub]:
     """The hub of a run that waits for its controller."""
     hub = Hub("bench", ["controller"])
     yield hub

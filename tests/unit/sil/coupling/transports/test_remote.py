@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -84,11 +85,8 @@ def test_a_babbler_is_stopped(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.fixture
-def joined(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[tuple[Hub, socket.socket]]:
+def joined(runtime_folder: Path) -> Iterator[tuple[Hub, socket.socket]]:
     """A hub whose plant, a bare socket, has joined and named its first event."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     hub = Hub("run", ["plant"], timeouts=Timeouts(start_s=5.0, answer_s=0.25))
     plant = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     plant.connect(str(hub.path))

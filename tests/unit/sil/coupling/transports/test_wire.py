@@ -87,10 +87,6 @@ def test_unknown_control_frames_are_refused() -> None:
         wire.parse_control(Kind.GRANT, bytes(7))
 
 
-def test_participants_have_the_numbers_of_the_contract() -> None:
-    assert wire.PARTICIPANTS == {"plant": 1, "controller": 2, "driver": 3, "guest": 4}
-
-
 def test_every_refusal_has_words() -> None:
     assert all(not wire.reason(refusal).startswith("code") for refusal in wire.Refusal)
     assert wire.reason(99) == "code 99"
