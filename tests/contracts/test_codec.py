@@ -145,9 +145,9 @@ def test_encodes_off_the_grid_like_cantools(message_type: type, draw: st.DataObj
             moved[field] = si(message_type, field, physical)
         elif kind_of(message_type, field)[0] is int:
             signals[signal.name] = raw + signal.offset
-    known = {signal.name for signal in their(message_type).signals}
+    signal_names = {signal.name for signal in their(message_type).signals}
     expected = their(message_type).encode(
-        {name: value for name, value in signals.items() if name in known}, padding=True
+        {name: value for name, value in signals.items() if name in signal_names}, padding=True
     )
     assert encode(replace(message, **moved)) == Frame(can_id_of(message_type), expected)
 

@@ -50,10 +50,10 @@ def test_the_light_model() -> None:
 
 @pytest.mark.parametrize("name", list(NAMES))
 def test_a_strategy(name: str) -> None:
-    found = plain(parameters(name, {}))
+    defaults = plain(parameters(name, {}))
     for part in ("model", "observer"):
-        assert found.pop(part, DEFAULTS[part]) == DEFAULTS[part]
-    assert found == DEFAULTS["strategies"][name]
+        assert defaults.pop(part, DEFAULTS[part]) == DEFAULTS[part]
+    assert defaults == DEFAULTS["strategies"][name]
 
 
 KINDS = (

@@ -60,12 +60,12 @@ class TestEstimator:
     def test_between_samples_it_holds(self) -> None:
         estimator = PositionEstimator(FirmwareConfig())
         feed(estimator, [0.0, 0.002])
-        held = estimator.update([], False)
-        assert held.samples == ()
-        assert held.valid
-        assert held.raw_m == pytest.approx(0.002)
-        assert 0.0 < held.position_m < 0.002
-        assert held.velocity_m_s == pytest.approx(held.position_m / 0.01)
+        unchanged = estimator.update([], False)
+        assert unchanged.samples == ()
+        assert unchanged.valid
+        assert unchanged.raw_m == pytest.approx(0.002)
+        assert 0.0 < unchanged.position_m < 0.002
+        assert unchanged.velocity_m_s == pytest.approx(unchanged.position_m / 0.01)
 
     @pytest.mark.parametrize("per_step", [1, 4])
     def test_same_as_scipy_whether_one_or_four_samples_a_step(self, per_step: int) -> None:

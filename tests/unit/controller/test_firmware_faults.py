@@ -36,8 +36,8 @@ ONE_LEG = ["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", "HOLD", "VENT", "IDLE"]
 class TestPositionFaults:
     @pytest.mark.parametrize("state", [S.PUSH, S.CONFIRM, S.BLOW, S.HOLD, S.VENT])
     def test_lost_during_a_shift(self, state: ShiftState) -> None:
-        known = shift(N, (100, B)).run(500)
-        lost_ns = known.when(state) + 10 * MS
+        undisturbed = shift(N, (100, B)).run(500)
+        lost_ns = undisturbed.when(state) + 10 * MS
         rig = shift(
             N,
             (100, B),

@@ -161,12 +161,12 @@ class TestStrategies:
 
         rig, strategy = meddled(N, (100, B), speeds=speeds)
         rig.run(400)
-        found = 0
+        count = 0
         for now_ns, estimate, context in strategy.seen:
             assert isinstance(estimate, Estimate) and estimate.valid
             if now_ns < 300 * MS:
                 newest = now_ns // (30 * MS)
                 assert context.apart_rad_s == 10.0 + newest
                 assert context.apart_ns == newest * 30 * MS
-                found += 1
-        assert found > 3
+                count += 1
+        assert count > 3

@@ -157,16 +157,16 @@ def troubled(draw: st.DrawFn) -> Rig:
     fault = draw(st.sampled_from(["none", "none", "lost", "stuck", "spikes", "silent"]))
     begin_ns = draw(st.integers(10, 150)) * 10 * MS
     end_ns = begin_ns + draw(st.integers(1, 60)) * 10 * MS
-    held: list[PositionPulse] = []
+    first_pulse: list[PositionPulse] = []
 
     def pulse(now_ns: int, real: PositionPulse) -> PositionPulse | None:
         if not begin_ns <= now_ns < end_ns:
-            held[:] = [real]
+            first_pulse[:] = [real]
             return real
         if fault == "silent":
             return None
-        if fault == "stuck" and held:
-            return replace(held[0], sample_index=real.sample_index)
+        if fault == "stuck" and first_pulse:
+            return replace(first_pulse[0], sample_index=real.sample_index)
         if fault == "spikes" and real.sample_index % 5 == 0:
             return replace(real, pulse_s=0.003)
         return real

@@ -36,7 +36,7 @@ def uniform(t_s: float) -> float:
     return STROKE_M * min(max(t_s / STROKE_S, 0.0), 1.0)
 
 
-def held(
+def estimates(
     config: FirmwareConfig, path: Path, started_s: float, lead_s: float
 ) -> list[tuple[float, float]]:
     """Return (time, estimate) of every status while the stay moves along a path."""
@@ -66,7 +66,7 @@ def lags_ms(config: FirmwareConfig, path: Path, lead_s: float) -> tuple[float, f
     low_s = high_s = 0.0
     for phase in range(PHASES):
         started_s = 0.1 + phase / PHASES * config.period_s
-        reported = held(config, path, started_s, lead_s)
+        reported = estimates(config, path, started_s, lead_s)
         for share in (0.1, 0.9):
             true_s = next(t * 1e-5 for t in range(2000) if path(t * 1e-5) >= share * STROKE_M)
             lag_s = first_above(reported, share * STROKE_M) - started_s - true_s
@@ -113,7 +113,7 @@ def test_a_slow_ramp_lags_by_the_closed_form() -> None:
     lags = []
     for phase in range(PHASES):
         started_s = 0.1 + phase / PHASES * 0.01
-        reported = held(FirmwareConfig(), slow, started_s, 0.005)
+        reported = estimates(FirmwareConfig(), slow, started_s, 0.005)
         lags.append(first_above(reported, 0.008) - started_s - 0.16)
     mean_ms = 1e3 * sum(lags) / PHASES
     closed_ms = 1e3 * delay_at_rest_s(6, 22.0, 100.0) + 5.0 - 0.45 + 0.4 + 5.0

@@ -113,21 +113,21 @@ def test_piston_and_stay_in_contact_are_one_mass(speed_m_s: float, load_n: float
 
     From rest as well, where the stay's own area cannot move it: by 0.3 N with the load of 135 N.
     """
-    own = ModelSettings()
+    nominal = ModelSettings()
     motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.stay_m, motion.piston_m = 0.004, GAP_M + 0.004
     motion.stay_m_s = motion.piston_m_s = speed_m_s
     motion.driving_pa, motion.braking_pa, motion.load_n = 6e5, 1.5e5, load_n
     force_n = (
-        own.piston_m2 * (6e5 - 1.5e5)
-        + own.stay_m2 * (6e5 - ATMOSPHERE_PA)
-        - own.piston_friction_n
-        - own.stay_friction_n
-        - (own.piston_damping_n_s_m + own.stay_damping_n_s_m) * speed_m_s
+        nominal.piston_m2 * (6e5 - 1.5e5)
+        + nominal.stay_m2 * (6e5 - ATMOSPHERE_PA)
+        - nominal.piston_friction_n
+        - nominal.stay_friction_n
+        - (nominal.piston_damping_n_s_m + nominal.stay_damping_n_s_m) * speed_m_s
         - load_n
     )
-    then_m_s = speed_m_s + 1e-4 * force_n / (own.piston_kg + own.stay_kg)
-    LightModel(own, STROKE_M).step(motion, True, False, 1e-4)
+    then_m_s = speed_m_s + 1e-4 * force_n / (nominal.piston_kg + nominal.stay_kg)
+    LightModel(nominal, STROKE_M).step(motion, True, False, 1e-4)
     assert then_m_s > 0.01
     assert (motion.piston_m_s, motion.stay_m_s) == pytest.approx((then_m_s, then_m_s), rel=1e-9)
     assert motion.stay_m == pytest.approx(0.004 + 1e-4 * then_m_s, abs=1e-12)
@@ -145,12 +145,12 @@ def test_what_is_thrown_back_stops_at_its_stops() -> None:
 
 def test_a_piston_that_does_not_reach_the_stay_yet_moves_alone() -> None:
     """m_p u' = A_p (P_d - P_n) - friction - damping u."""
-    own = ModelSettings()
+    nominal = ModelSettings()
     motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.piston_m, motion.piston_m_s = GAP_M - 2e-4, 0.3
-    force_n = own.piston_friction_n + own.piston_damping_n_s_m * 0.3
-    LightModel(own, STROKE_M).step(motion, False, False, STEP_S)
-    then_m_s = 0.3 - STEP_S * force_n / own.piston_kg
+    force_n = nominal.piston_friction_n + nominal.piston_damping_n_s_m * 0.3
+    LightModel(nominal, STROKE_M).step(motion, False, False, STEP_S)
+    then_m_s = 0.3 - STEP_S * force_n / nominal.piston_kg
     assert motion.piston_m_s == pytest.approx(then_m_s, rel=1e-9)
     assert motion.piston_m == pytest.approx(GAP_M - 2e-4 + STEP_S * then_m_s, abs=1e-12)
     assert (motion.stay_m, motion.stay_m_s) == (0.0, 0.0)

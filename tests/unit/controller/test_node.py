@@ -287,6 +287,6 @@ def test_a_request_with_any_changed_byte_moves_nothing(changes: list[tuple[int, 
 
 
 def test_another_program_takes_the_place_of_the_firmware() -> None:
-    own = Firmware(FirmwareConfig())
-    assert ControllerNode(FirmwareConfig(), own).firmware is own
+    program = Firmware(FirmwareConfig())
+    assert ControllerNode(FirmwareConfig(), program).firmware is program
     assert isinstance(ControllerNode(FirmwareConfig()).firmware, Firmware)

@@ -136,8 +136,8 @@ class TestPlausibility:
 
 class TestWindows:
     def estimate(self, *samples: tuple[float, float], valid: bool = True) -> Estimate:
-        made = tuple(Sample(raw_m, position_m, 0.0) for raw_m, position_m in samples)
-        return Estimate(valid, 0.0, 0.0, 0.0, made)
+        in_windows = tuple(Sample(raw_m, position_m, 0.0) for raw_m, position_m in samples)
+        return Estimate(valid, 0.0, 0.0, 0.0, in_windows)
 
     def make(self) -> GearWindows:
         return GearWindows(

@@ -273,7 +273,7 @@ class TestTable:
     def test_every_transition_of_the_table_is_made_and_no_other(self) -> None:
         """Random observations make the machine use the whole table."""
         rng = random.Random(1)
-        made: set[tuple[ShiftState, Event]] = set()
+        transitions: set[tuple[ShiftState, Event]] = set()
         for wait in (False, True):
             for cut in ("none", "sync", "confirmation"):
                 bench = Bench(shift=ShiftConfig(wait_for_sync=wait), blow=BlowConfig(cut=cut))
@@ -297,9 +297,9 @@ class TestTable:
                     if event is None:
                         assert after is before
                     else:
-                        made.add((before, event))
+                        transitions.add((before, event))
                         assert after is TRANSITIONS[before, event]
-        assert made == set(TRANSITIONS)
+        assert transitions == set(TRANSITIONS)
 
     def test_a_strategy_that_fails_ends_a_push(self) -> None:
         bench = Bench().pushing(B)

@@ -19,7 +19,7 @@ MS = 1_000_000
 BRAKING = ("air_cushion", "sliding_mode")
 
 
-def made(name: str, **parameters: Any) -> Strategy:
+def new_strategy(name: str, **parameters: Any) -> Strategy:
     strategy = create_strategy(FirmwareConfig(strategy=name, strategy_parameters=parameters))
     strategy.reset()
     return strategy
@@ -36,7 +36,7 @@ def push(leg: Gear, attempt: int = 0) -> ShiftContext:
 
 @pytest.mark.parametrize("name", BRAKING)
 def test_to_neutral_and_in_a_second_attempt_it_is_the_open_loop(name: str) -> None:
-    strategy = made(name)
+    strategy = new_strategy(name)
     fast = seen(0.012, -3.0)
     assert strategy.command(0, fast, push(Gear.NEUTRAL)) == Duties(0.0, 0.98, 0.0)
     assert strategy.command(0, fast, push(Gear.BACKWARD, attempt=1)) == Duties(0.98, 0.0, 0.0)
@@ -47,7 +47,7 @@ def test_to_neutral_and_in_a_second_attempt_it_is_the_open_loop(name: str) -> No
 def test_it_brakes_with_neutral_and_pushes_again_when_patience_ends(
     name: str, leg: Gear, sign: float
 ) -> None:
-    strategy = made(name, patience_s=0.1)
+    strategy = new_strategy(name, patience_s=0.1)
     near_and_fast = seen(sign * 0.011, sign * 2.0)
     braking = strategy.command(50 * MS, near_and_fast, push(leg))
     assert braking.n == 0.98
@@ -57,7 +57,7 @@ def test_it_brakes_with_neutral_and_pushes_again_when_patience_ends(
 
 @pytest.mark.parametrize("name", BRAKING)
 def test_the_two_gears_mirror_each_other(name: str) -> None:
-    one, other = made(name), made(name)
+    one, other = new_strategy(name), new_strategy(name)
     for step in range(12):
         x_m, v_m_s = 0.0011 * step, 0.15 * step
         b = one.command(step * 10 * MS, seen(x_m, v_m_s), push(Gear.BACKWARD))
@@ -66,7 +66,9 @@ def test_the_two_gears_mirror_each_other(name: str) -> None:
 
 
 def test_the_burst_begins_at_the_extrapolated_position_and_lasts_its_time() -> None:
-    strategy = made("air_cushion", trigger_m=0.006, lead_s=0.01, burst_s=0.02, keep_charging=True)
+    strategy = new_strategy(
+        "air_cushion", trigger_m=0.006, lead_s=0.01, burst_s=0.02, keep_charging=True
+    )
     leg = push(Gear.BACKWARD)
     assert strategy.command(0, seen(0.005, 0.09), leg) == Duties(0.98, 0.0, 0.0)
     assert strategy.command(10 * MS, seen(0.005, 0.11), leg) == Duties(0.98, 0.98, 0.0)
@@ -77,7 +79,7 @@ def test_the_burst_begins_at_the_extrapolated_position_and_lasts_its_time() -> N
 
 
 def test_the_charge_may_be_cut_during_the_burst() -> None:
-    strategy = made("air_cushion", trigger_m=0.006, keep_charging=False)
+    strategy = new_strategy("air_cushion", trigger_m=0.006, keep_charging=False)
     assert strategy.command(0, seen(0.007, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.98, 0.0)
 
 
@@ -91,7 +93,7 @@ def test_the_charge_may_be_cut_during_the_burst() -> None:
     ],
 )
 def test_sliding_mode_takes_the_side_of_its_surface(speed_m_s: float, duties: Duties) -> None:
-    strategy = made("sliding_mode", slope_per_s=50.0, band_m_s=0.1, beyond_m=0.0)
+    strategy = new_strategy("sliding_mode", slope_per_s=50.0, band_m_s=0.1, beyond_m=0.0)
     assert strategy.command(0, seen(0.00085, speed_m_s), push(Gear.BACKWARD)) == duties
 
 
@@ -114,37 +116,41 @@ def commanded(strategy: Strategy, fall: Fall, leg: Gear = Gear.BACKWARD) -> list
 
 
 def test_a_fixed_programme_acts_at_its_times_whatever_is_measured() -> None:
-    own = {"rest_begin_s": 0.02, "rest_s": 0.03, "brake_begin_s": 0.04, "brake_s": 0.02}
-    strategy = made("fixed_programme", **own)
+    times = {"rest_begin_s": 0.02, "rest_s": 0.03, "brake_begin_s": 0.04, "brake_s": 0.02}
+    strategy = new_strategy("fixed_programme", **times)
     strategy.reset()
     for position_m, speed_m_s in ((0.0, 0.0), (0.012, 1.0)):
-        found = [
+        duties_by_step = [
             strategy.command(t * MS, seen(position_m, speed_m_s), push(Gear.FORWARD))
             for t in range(0, 80, 10)
         ]
-        assert [10 * k for k, duties in enumerate(found) if duties.f == 0.0] == [20, 30, 40]
-        assert [10 * k for k, duties in enumerate(found) if duties.n > 0.0] == [40, 50]
+        assert [10 * k for k, duties in enumerate(duties_by_step) if duties.f == 0.0] == [
+            20,
+            30,
+            40,
+        ]
+        assert [10 * k for k, duties in enumerate(duties_by_step) if duties.n > 0.0] == [40, 50]
 
 
 @pytest.mark.parametrize("leg", [Gear.BACKWARD, Gear.FORWARD])
 def test_the_synchro_brake_acts_before_the_speeds_are_equal(leg: Gear) -> None:
     """55 = 500 t + 1000/2 t^2 at 0.1 s: brake from 0.08 for 0.02 s, rest from 0.06 for 0.01 s."""
-    own = {"brake_lead_s": 0.02, "burst_s": 0.02, "rest_lead_s": 0.04, "rest_s": 0.01}
+    times = {"brake_lead_s": 0.02, "burst_s": 0.02, "rest_lead_s": 0.04, "rest_s": 0.01}
     strategy = create_strategy(
         FirmwareConfig(
             strategy="synchro_brake",
             period_s=0.005,
-            strategy_parameters={**own, "least_lead_s": 0.02, "least_fall_rad_s2": 500.0},
+            strategy_parameters={**times, "least_lead_s": 0.02, "least_fall_rad_s2": 500.0},
         )
     )
     strategy.reset()
-    found = commanded(strategy, (55.0, 500.0, 1000.0), leg)
-    braked = [5 * k for k, duties in enumerate(found) if duties.n > 0.0]
-    rested = [5 * k for k, duties in enumerate(found) if duties.b + duties.f == 0.0]
+    duties_by_step = commanded(strategy, (55.0, 500.0, 1000.0), leg)
+    braked = [5 * k for k, duties in enumerate(duties_by_step) if duties.n > 0.0]
+    rested = [5 * k for k, duties in enumerate(duties_by_step) if duties.b + duties.f == 0.0]
     assert braked == [80, 85, 90, 95]
     assert rested == [60, 65]
     strategy.reset()
-    assert commanded(strategy, (55.0, 500.0, 1000.0), leg) == found
+    assert commanded(strategy, (55.0, 500.0, 1000.0), leg) == duties_by_step
 
 
 @pytest.mark.parametrize(
@@ -158,27 +164,27 @@ def test_the_synchro_brake_acts_before_the_speeds_are_equal(leg: Gear) -> None:
 def test_the_synchro_brake_is_the_open_loop_where_it_cannot_help(
     fall: Fall, parameters: dict[str, float]
 ) -> None:
-    strategy = made("synchro_brake", **parameters)
+    strategy = new_strategy("synchro_brake", **parameters)
     assert set(commanded(strategy, fall)) == {Duties(0.98, 0.0, 0.0)}
 
 
 def test_the_synchro_brake_is_the_open_loop_without_speeds() -> None:
-    strategy = made("synchro_brake")
+    strategy = new_strategy("synchro_brake")
     for t in range(0, 150, 10):
         assert strategy.command(t * MS, seen(0.003, 0.0), push(Gear.BACKWARD)).n == 0.0
 
 
 def test_blow_cut_ends_the_blow_on_neutral_only_when_a_gear_follows() -> None:
-    strategy = made("blow_cut")
+    strategy = new_strategy("blow_cut")
     assert strategy.blow_s(0.15, Gear.NEUTRAL, True) == 0.0
     assert strategy.blow_s(0.15, Gear.NEUTRAL, False) == 0.15
     assert strategy.blow_s(0.15, Gear.BACKWARD, False) == 0.15
-    assert made("blow_cut", neutral_s=0.03).blow_s(0.15, Gear.NEUTRAL, True) == 0.03
-    assert made("blow_cut", otherwise_s=0.01).blow_s(0.15, Gear.FORWARD, False) == 0.01
+    assert new_strategy("blow_cut", neutral_s=0.03).blow_s(0.15, Gear.NEUTRAL, True) == 0.03
+    assert new_strategy("blow_cut", otherwise_s=0.01).blow_s(0.15, Gear.FORWARD, False) == 0.01
 
 
 def test_blow_cut_pushes_as_the_open_loop() -> None:
-    strategy = made("blow_cut")
+    strategy = new_strategy("blow_cut")
     for leg in (Gear.BACKWARD, Gear.NEUTRAL, Gear.FORWARD):
         assert sum(strategy.command(0, seen(0.0, 0.0), push(leg))) == 0.98
 
@@ -199,7 +205,7 @@ def test_wrong_settings(name: str, parameters: dict[str, Any], place: str) -> No
 
 
 def test_the_burst_of_air_begins_at_its_trigger_and_lasts_its_time() -> None:
-    strategy = made("air_cushion", trigger_m=0.0078125, lead_s=0.0, burst_s=0.03125)
+    strategy = new_strategy("air_cushion", trigger_m=0.0078125, lead_s=0.0, burst_s=0.03125)
     pushing, burst = Duties(0.98, 0.0, 0.0), Duties(0.0, 0.98, 0.0)
     start_ns = 10**9
     shift = push(Gear.BACKWARD)._replace(start_ns=start_ns)
@@ -213,7 +219,7 @@ def test_the_burst_of_air_begins_at_its_trigger_and_lasts_its_time() -> None:
 def test_what_a_braking_strategy_is_given_to_decide_on(
     leg: Gear, sign: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    strategy = made("air_cushion", patience_s=0.25)
+    strategy = new_strategy("air_cushion", patience_s=0.25)
     assert isinstance(strategy, IntoGear)
     reported: list[Progress] = []
 
@@ -238,7 +244,7 @@ def test_what_a_braking_strategy_is_given_to_decide_on(
 
 def test_at_the_end_the_sliding_mode_still_presses_on() -> None:
     """slope (stroke + beyond - x) = 60 x 3 mm is above the band at the stop, half of it below."""
-    strategy = made("sliding_mode")
+    strategy = new_strategy("sliding_mode")
     assert strategy.command(0, seen(0.01285, 0.0), push(Gear.BACKWARD)) == Duties(0.98, 0.0, 0.0)
     assert strategy.command(0, seen(0.01435, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.0, 0.0)
     assert strategy.command(0, seen(0.01885, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.98, 0.0)
@@ -246,7 +252,7 @@ def test_at_the_end_the_sliding_mode_still_presses_on() -> None:
 
 def test_on_the_edges_of_its_band_the_sliding_mode_rests() -> None:
     """Powers of two, so that the surface is met exactly: 64 x 2^-9 m is the band of 1/8 m/s."""
-    strategy = made("sliding_mode", slope_per_s=64.0, band_m_s=0.125, beyond_m=2.0**-9)
+    strategy = new_strategy("sliding_mode", slope_per_s=64.0, band_m_s=0.125, beyond_m=2.0**-9)
     for speed_m_s in (0.0, 0.125, 0.25):
         duties = strategy.command(0, seen(0.01285, speed_m_s), push(Gear.BACKWARD))
         assert duties == Duties(0.0, 0.0, 0.0)
@@ -343,7 +349,7 @@ def test_too_weak_a_fall_is_no_release_to_brake() -> None:
 @pytest.mark.parametrize("gap", [None, 62.0])
 def test_reports_that_stop_are_forgotten_and_begin_anew(gap: float | None) -> None:
     """Only with the report at 10 ms are there three when the release at 72 ms can be braked."""
-    strategy = made("synchro_brake")
+    strategy = new_strategy("synchro_brake")
     assert isinstance(strategy, IntoGear)
     braked = False
     for k, apart_rad_s in enumerate((72.0, gap, 52.0, 42.0, 42.0, 42.0, 42.0)):
@@ -359,7 +365,9 @@ def test_a_burst_of_whole_periods_lasts_them_whenever_it_begins(
 ) -> None:
     burst_s = float(f"{periods * period_ns * 1e-9:.9g}")
     for begin in range(60):
-        strategy = made("air_cushion", trigger_m=0.006, lead_s=0.0, burst_s=burst_s, patience_s=1.0)
+        strategy = new_strategy(
+            "air_cushion", trigger_m=0.006, lead_s=0.0, burst_s=burst_s, patience_s=1.0
+        )
         filled = [
             strategy.command(
                 tick * period_ns, seen(0.007 * (tick >= begin), 0.0), push(Gear.BACKWARD)

@@ -35,7 +35,7 @@ TABLE = BangBang.Parameters().table
 N = math.inf  # never
 
 
-def made(name: str, **parameters: Any) -> Foresight:
+def new_strategy(name: str, **parameters: Any) -> Foresight:
     import msgspec
 
     config = msgspec.structs.replace(QUICK, strategy=name, strategy_parameters=parameters)
@@ -69,28 +69,28 @@ def played(strategy: Strategy) -> tuple[float, float]:
 def test_with_the_true_model_and_quick_hardware_the_stop_is_soft(name: str) -> None:
     open_loop_m_s, open_loop_s = played(create_strategy(QUICK))
     table = {"table": [[9e5, 0.025]], "brake_s": 0.015} if name == "bang_bang" else {}
-    speed_m_s, time_s = played(made(name, **QUICK_VALVES, **table))
+    speed_m_s, time_s = played(new_strategy(name, **QUICK_VALVES, **table))
     assert open_loop_m_s > 0.7
     assert speed_m_s < 0.6 * open_loop_m_s
     assert time_s < open_loop_s + 0.04
 
 
 def test_a_trial_is_the_observer_s_model_run_on() -> None:
-    strategy = made("predictive", **QUICK_VALVES)
+    strategy = new_strategy("predictive", **QUICK_VALVES)
     strategy.observer.command(True, False)
-    found = strategy.trial(N, N, N, N)
+    result = strategy.trial(N, N, N, N)
     speed_m_s = 0.0
     observer = strategy.observer
     while observer.motion.stay_m < observer.model.stroke_m:
         speed_m_s = observer.motion.stay_m_s
         observer.advance(observer.time_s + STEP_S, 0.0, 0)
-    assert found.speed_m_s == speed_m_s
-    assert found.left_m == 0.0
-    assert found.time_s == pytest.approx(observer.time_s, abs=1.01 * STEP_S)
+    assert result.speed_m_s == speed_m_s
+    assert result.left_m == 0.0
+    assert result.time_s == pytest.approx(observer.time_s, abs=1.01 * STEP_S)
 
 
 def test_a_trial_leaves_the_observer_as_it_was() -> None:
-    strategy = made("predictive", **QUICK_VALVES)
+    strategy = new_strategy("predictive", **QUICK_VALVES)
     strategy.observer.command(True, False)
     strategy.observer.advance(0.01, 0.0, 0)
     first = strategy.trial(0.0, 0.01, N, N)
@@ -108,7 +108,7 @@ def test_stored_times_lie_on_lines_between_the_entries() -> None:
 
 
 def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
-    strategy = made("bang_bang", brake_s=0.02)
+    strategy = new_strategy("bang_bang", brake_s=0.02)
     assert isinstance(strategy, BangBang)
     still = Estimate(True, 0.0, 0.0, 0.0, ())
     braked = [strategy.command(tick * 2_500_000, still, PUSH).n > 0.5 for tick in range(40)]
@@ -121,7 +121,7 @@ def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
 def test_bang_bang_brakes_as_late_as_the_wanted_speed_allows(
     wanted_m_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    strategy = made("bang_bang", **QUICK_VALVES, brake_s=0.015, impact_m_s=wanted_m_s)
+    strategy = new_strategy("bang_bang", **QUICK_VALVES, brake_s=0.015, impact_m_s=wanted_m_s)
     assert isinstance(strategy, BangBang)
     strategy.observer.command(True, False)
     strategy.observer.advance(0.01, 0.0, 0)
@@ -142,10 +142,10 @@ def test_bang_bang_brakes_as_late_as_the_wanted_speed_allows(
     strategy.observer.advance(0.04, 0.0, 0)  # now even braking at once is too late
     assert strategy._solved_s() == 0.0
     assert strategy.plan(0.04).brake
-    patient = made("bang_bang", **QUICK_VALVES, impact_m_s=3.0)
+    patient = new_strategy("bang_bang", **QUICK_VALVES, impact_m_s=3.0)
     assert isinstance(patient, BangBang)
     assert patient._solved_s() == patient.parameters.horizon_s
-    anxious = made("bang_bang", **QUICK_VALVES, impact_m_s=0.0)
+    anxious = new_strategy("bang_bang", **QUICK_VALVES, impact_m_s=0.0)
     assert isinstance(anxious, BangBang)
     assert anxious._solved_s() == 0.0  # even what does not arrive within the horizon is too fast
 
@@ -181,11 +181,11 @@ def test_a_table_out_of_order_is_refused(table: list[list[float]]) -> None:
 
 
 def test_sequences_are_few_and_the_first_does_nothing() -> None:
-    found = sequences(0.01)
-    assert len(found) == len(set(found)) == 27
-    assert found[0].brake_on_s > 1.0
+    result = sequences(0.01)
+    assert len(result) == len(set(result)) == 27
+    assert result[0].brake_on_s > 1.0
     assert all(
-        s.brake_off_s - s.brake_on_s in (0.0, 0.01, 0.02, 0.04) or s.brake_on_s for s in found
+        s.brake_off_s - s.brake_on_s in (0.0, 0.01, 0.02, 0.04) or s.brake_on_s for s in result
     )
 
 
@@ -201,7 +201,7 @@ def test_model_steps_of_one_call_are_bounded(
         step(*arguments)
 
     monkeypatch.setattr(LightModel, "step", counting)
-    strategy = made(name, horizon_s=0.06)
+    strategy = new_strategy(name, horizon_s=0.06)
     most = 0
     for tick in range(40):
         x_m = min(0.0003 * tick, 0.012)

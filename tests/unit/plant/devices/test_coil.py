@@ -164,8 +164,8 @@ def test_opening_agrees_with_an_independent_solver() -> None:
         return float(y[1] - 0.55 * s.travel_m)
 
     crosses.terminal = True  # type: ignore[attr-defined]
-    found = solve_ivp(rates, (0, 0.03), [0.0, 0.0, 0.0], events=crosses, rtol=1e-9, atol=1e-12)
-    assert delays_ms(on=1.0)[0] == pytest.approx(found.t_events[0][0] * 1e3, abs=0.005)
+    results = solve_ivp(rates, (0, 0.03), [0.0, 0.0, 0.0], events=crosses, rtol=1e-9, atol=1e-12)
+    assert delays_ms(on=1.0)[0] == pytest.approx(results.t_events[0][0] * 1e3, abs=0.005)
 
 
 @settings(max_examples=25, deadline=None)
@@ -175,26 +175,26 @@ def test_moves_do_not_depend_on_the_grants(grants: list[int]) -> None:
 
     def moves(instants: list[int]) -> list[tuple[int, float]]:
         one = valve(dip=[dip])
-        found = []
+        results = []
         commands = {10 * MS: 0.98, 60 * MS + 123: 0.0}
         for t_ns in sorted({*instants, *commands}):
-            found += one.moves(t_ns)
+            results += one.moves(t_ns)
             if t_ns in commands:
                 one.command(t_ns, commands[t_ns])
-        return found + one.moves(150 * MS)
+        return results + one.moves(150 * MS)
 
     assert moves(grants) == moves([])
     assert [u for _, u in moves(grants)] == [1.0, 0.0]
 
 
 def test_noted_currents_do_not_change_the_motion() -> None:
-    found = []
+    results = []
     for sample_ns in (0, 333_333):
         one = CoilValve(TIMING, CoilConfig(), sample_ns=sample_ns)
         one.command(10 * MS + 1, 0.98)
         one.command(60 * MS + 123, 0.0)
-        found.append((one.moves(150 * MS), one.state))
-    assert found[0] == found[1]
+        results.append((one.moves(150 * MS), one.state))
+    assert results[0] == results[1]
     instants = [at for at, _ in one.currents]
     assert instants == list(range(0, 150 * MS + 1, 333_333))
     assert max(current for _, current in one.currents) > 0.7

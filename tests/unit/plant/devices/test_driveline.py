@@ -130,8 +130,8 @@ def test_a_rig_without_synchronizer_blocks_only_when_told_to() -> None:
     free = Driveline(DrivelineConfig(residual_rad_s=9.0), X_BLOCK, 0.0, has_synchronizer=False)
     assert free.advance(0, 0.0, 0.0, BACKWARD) is None
     stated = DrivelineConfig(impulse_backward_n_s=5.0)
-    held = Driveline(stated, X_BLOCK, 0.0, has_synchronizer=False)
-    assert held.advance(0, 0.0, 0.0, BACKWARD) == 5.0
+    blocked = Driveline(stated, X_BLOCK, 0.0, has_synchronizer=False)
+    assert blocked.advance(0, 0.0, 0.0, BACKWARD) == 5.0
 
 
 def test_impossible_values_are_refused() -> None:

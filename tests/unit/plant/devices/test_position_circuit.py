@@ -49,9 +49,9 @@ def test_phase_and_delay_move_the_instants() -> None:
 
 def test_readings_tell_position_temperature_and_number() -> None:
     config = SensorConfig(coil_temperature_k=323.15, measured_temperature_k=303.15)
-    found = readings(circuit(config=config), 300)
-    assert [r.sample_index for r in found if r] == [i % 256 for i in range(300)]
-    for i, reading in enumerate(found):
+    reports = readings(circuit(config=config), 300)
+    assert [r.sample_index for r in reports if r] == [i % 256 for i in range(300)]
+    for i, reading in enumerate(reports):
         assert reading is not None
         assert reading.temperature_k == 303.15
         assert reading.pulse_s == SENSOR.pulse_s(0.004 + i * 1e-4, 323.15)
@@ -82,8 +82,8 @@ def pulses_with(*faults: SensorFault, count: int = 8) -> list[float | None]:
 
 
 def test_stuck_repeats_the_last_report_or_a_given_one() -> None:
-    found = pulses_with(window("stuck"))
-    assert found == [true_pulse(i) for i in (0, 1, 2, 2, 2, 2, 6, 7)]
+    reports = pulses_with(window("stuck"))
+    assert reports == [true_pulse(i) for i in (0, 1, 2, 2, 2, 2, 6, 7)]
     assert pulses_with(window("stuck", pulse_s=0.001))[2:7] == [
         true_pulse(2), 0.001, 0.001, 0.001, true_pulse(6),
     ]  # fmt: skip
@@ -92,37 +92,37 @@ def test_stuck_repeats_the_last_report_or_a_given_one() -> None:
 
 
 def test_off_reports_nothing_and_the_numbers_go_on() -> None:
-    found = readings(circuit(window("off")), 8)
-    assert [r.sample_index if r else None for r in found] == [0, 1, 2, None, None, None, 6, 7]
+    reports = readings(circuit(window("off")), 8)
+    assert [r.sample_index if r else None for r in reports] == [0, 1, 2, None, None, None, 6, 7]
 
 
 def test_slow_reports_every_nth() -> None:
-    found = pulses_with(SensorFault(kind="slow", start_s=0.035, every=3), count=12)
-    assert [p is not None for p in found] == [True] * 3 + [True, False, False] * 3
+    reports = pulses_with(SensorFault(kind="slow", start_s=0.035, every=3), count=12)
+    assert [p is not None for p in reports] == [True] * 3 + [True, False, False] * 3
 
 
 def test_intermittent_loses_its_share_reproducibly() -> None:
     fault = SensorFault(kind="intermittent", probability=0.3)
-    found = pulses_with(fault, count=1000)
-    assert sum(p is None for p in found) == pytest.approx(300, abs=45)
-    assert found == pulses_with(fault, count=1000)
+    reports = pulses_with(fault, count=1000)
+    assert sum(p is None for p in reports) == pytest.approx(300, abs=45)
+    assert reports == pulses_with(fault, count=1000)
     assert pulses_with(SensorFault(kind="intermittent", probability=1.0)) == [None] * 8
     assert None not in pulses_with(SensorFault(kind="intermittent", probability=0.0))
 
 
 def test_garbage_is_uniform_and_on_the_timers_grid() -> None:
-    found = pulses_with(SensorFault(kind="garbage", garbage_s=0.004), count=1000)
-    assert all(p is not None and 0.0 <= p <= 0.004 for p in found)
-    assert all(abs(p / 1e-6 - round(p / 1e-6)) < 1e-6 for p in found if p is not None)
-    assert sum(p for p in found if p) / 1000 == pytest.approx(0.002, rel=0.06)
-    assert found != pulses_with(
+    reports = pulses_with(SensorFault(kind="garbage", garbage_s=0.004), count=1000)
+    assert all(p is not None and 0.0 <= p <= 0.004 for p in reports)
+    assert all(abs(p / 1e-6 - round(p / 1e-6)) < 1e-6 for p in reports if p is not None)
+    assert sum(p for p in reports if p) / 1000 == pytest.approx(0.002, rel=0.06)
+    assert reports != pulses_with(
         SensorFault(kind="off", end_s=0.0), SensorFault(kind="garbage", garbage_s=0.004), count=1000
     )
 
 
 def test_faults_combine_in_order() -> None:
-    found = pulses_with(window("stuck", pulse_s=0.001), window("slow", every=2))
-    assert found[3:6] == [0.001, None, 0.001]
+    reports = pulses_with(window("stuck", pulse_s=0.001), window("slow", every=2))
+    assert reports[3:6] == [0.001, None, 0.001]
 
 
 def test_impossible_settings_are_refused() -> None:
@@ -135,11 +135,11 @@ def test_impossible_settings_are_refused() -> None:
 
 
 def test_a_wrong_circuit_adds_its_offset() -> None:
-    healthy, found = pulses_with(), pulses_with(SensorFault(kind="wrong", offset_s=5e-5))
-    assert [f - h for f, h in zip(found, healthy, strict=True)] == pytest.approx([5e-5] * 8)  # type: ignore[operator]
+    healthy, reports = pulses_with(), pulses_with(SensorFault(kind="wrong", offset_s=5e-5))
+    assert [f - h for f, h in zip(reports, healthy, strict=True)] == pytest.approx([5e-5] * 8)  # type: ignore[operator]
 
 
 def test_a_delayed_circuit_gives_what_was() -> None:
     healthy = pulses_with()
-    found = pulses_with(SensorFault(kind="delayed", late=3))
-    assert found == [healthy[0]] * 3 + healthy[:5]
+    reports = pulses_with(SensorFault(kind="delayed", late=3))
+    assert reports == [healthy[0]] * 3 + healthy[:5]

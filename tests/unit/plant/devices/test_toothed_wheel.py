@@ -19,15 +19,15 @@ def readings(
 
 def test_error_is_that_of_two_ticks_of_the_timer() -> None:
     for speed, timer_s in ((98.0, 1e-6), (98.0, 1e-4), (20.0, 1e-4)):
-        found = readings(speed, 60, timer_s)
+        measured = readings(speed, 60, timer_s)
         between_s = 0.010 - 2.0 * np.pi / 60 / speed  # at least, from edge to edge
-        assert max(abs(r - speed) for r in found) <= 1.01 * speed * timer_s / between_s
-        assert max(abs(r - speed) for r in found) > 0.0
+        assert max(abs(r - speed) for r in measured) <= 1.01 * speed * timer_s / between_s
+        assert max(abs(r - speed) for r in measured) > 0.0
 
 
 def test_slow_shaft_holds_its_speed_between_teeth() -> None:
-    found = readings(3.0, 60)  # a tooth every 35 ms
-    assert found == pytest.approx([3.0] * len(found), rel=1e-3)
+    measured = readings(3.0, 60)  # a tooth every 35 ms
+    assert measured == pytest.approx([3.0] * len(measured), rel=1e-3)
 
 
 def test_shaft_at_rest_reads_the_last_speed_and_zero_before_the_first_teeth() -> None:
@@ -37,6 +37,6 @@ def test_shaft_at_rest_reads_the_last_speed_and_zero_before_the_first_teeth() ->
 
 def test_noise_has_its_standard_deviation_with_and_without_teeth() -> None:
     for teeth in (0, 60):
-        found = readings(98.0, teeth, noise=0.5)
-        assert np.std(found) == pytest.approx(0.5, rel=0.2)
-        assert np.mean(found) == pytest.approx(98.0, abs=0.15)
+        measured = readings(98.0, teeth, noise=0.5)
+        assert np.std(measured) == pytest.approx(0.5, rel=0.2)
+        assert np.mean(measured) == pytest.approx(98.0, abs=0.15)

@@ -24,15 +24,15 @@ def moves(*faults: dict[str, Any], step_ms: int = 200, seed: int = 1) -> list[tu
     faulty = FaultyValve(
         valve, [msgspec.convert({"valve": "B", **fault}, ValveFault) for fault in faults], seed
     )
-    found = []
+    plunger_moves = []
     waiting = list(COMMANDS)
     for until in range(step_ms * MS, 401 * MS, step_ms * MS):
         while waiting and waiting[0][0] <= until:
             faulty.hand_over(*waiting.pop(0))
         for instant, duty in faulty.until(until):
             valve.command(instant, duty)
-        found += [(t / MS, u) for t, u in valve.moves(until)]
-    return found
+        plunger_moves += [(t / MS, u) for t, u in valve.moves(until)]
+    return plunger_moves
 
 
 HEALTHY = [(20 + RISE, 1.0), (100 + FALL, 0.0)]
@@ -73,9 +73,9 @@ def test_delayed_moves_everything_later() -> None:
 
 
 def test_intermittent_is_off_in_some_slots_only() -> None:
-    found = moves({"kind": "intermittent", "probability": 0.3})
-    assert found and found != HEALTHY
-    assert all((t - RISE) % 10 == 0 for t, u in found if u == 1.0)
+    plunger_moves = moves({"kind": "intermittent", "probability": 0.3})
+    assert plunger_moves and plunger_moves != HEALTHY
+    assert all((t - RISE) % 10 == 0 for t, u in plunger_moves if u == 1.0)
     assert moves({"kind": "intermittent", "probability": 0.0}) == HEALTHY
     assert moves({"kind": "intermittent", "probability": 1.0}) == []
 

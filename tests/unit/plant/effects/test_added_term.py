@@ -84,12 +84,12 @@ def test_a_batch_runs_strokes_with_and_without_terms() -> None:
     plain, changed = setup_of("N-B"), setup_of("N-B")
     SPRING.add_to(changed, rate_n_m=8000.0, x0_m=0.001)
     strokes = Strokes.from_setups([plain, changed, plain], 0.25)
-    found = simulate_batch(strokes, sample_s=TIME_S)
-    assert found.in_lanes.tolist() == [True, False, True] and (found.status == DONE).all()
+    result = simulate_batch(strokes, sample_s=TIME_S)
+    assert result.in_lanes.tolist() == [True, False, True] and (result.status == DONE).all()
     alone = simulate_batch(Strokes.from_setups([plain], 0.25), sample_s=TIME_S)
-    assert (found.samples[0] == alone.samples[0]).all()
+    assert (result.samples[0] == alone.samples[0]).all()
     single = run_setup(changed, TIME_S).position_m
-    assert np.abs(found.samples[1, :, 0] - single).max() < 1e-6
+    assert np.abs(result.samples[1, :, 0] - single).max() < 1e-6
 
 
 def test_derivatives_by_a_value_are_those_of_wide_differences() -> None:

@@ -30,23 +30,23 @@ def named_in(file: Path) -> set[str]:
         and node.body
         and isinstance(node.body[0], ast.Expr)
     }
-    found = set()
+    mentions = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
             words = set("".join(c if c.isalnum() or c == "_" else " " for c in node.value).split())
-            found |= {name for name in CATALOGUE if name == node.value}
-            found |= (words & set(CATALOGUE)) - ORDINARY
-    return found
+            mentions |= {name for name in CATALOGUE if name == node.value}
+            mentions |= (words & set(CATALOGUE)) - ORDINARY
+    return mentions
 
 
 def test_no_module_outside_the_effects_names_one() -> None:
-    found = set()
+    mentions = set()
     for package in ("can_dbc", "controller", "plant", "sil"):
         for file in (ROOT / package).rglob("*.py"):
             path = file.relative_to(ROOT).as_posix()
             if not path.startswith("plant/effects/"):
-                found |= {(path, name) for name in named_in(file)}
-    assert found == ELSEWHERE
+                mentions |= {(path, name) for name in named_in(file)}
+    assert mentions == ELSEWHERE
 
 
 def test_the_search_for_names_finds_them() -> None:

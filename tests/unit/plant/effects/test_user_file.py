@@ -63,9 +63,9 @@ def test_a_changed_file_replaces_its_effects_and_is_refused_under_the_old_hash(w
 def test_a_set_takes_an_effect_by_its_paths(write) -> None:
     load_effects(write())
     changes = {"effect.end_seal.force_n": 60.0, "effect.end_seal.length_m": 0.002}
-    found = overridden(load(), {**changes, "valve.D_rise": 0.013})
-    assert found.value("valve.D_rise") == 0.013
-    assert found.effects["end_seal"]["force_n"].value == 60.0
+    extended = overridden(load(), {**changes, "valve.D_rise": 0.013})
+    assert extended.value("valve.D_rise") == 0.013
+    assert extended.effects["end_seal"]["force_n"].value == 60.0
     with pytest.raises(InputError, match="no length_m; expected force_n, length_m"):
         overridden(load(), {"effect.end_seal.force_n": 60.0})
 
