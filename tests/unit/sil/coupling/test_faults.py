@@ -202,29 +202,21 @@ def test_faults_add_up_and_error_frames_come_first() -> None:
     ]
 
 
-def convert(table: dict[str, object]) -> object:
-    return msgspec.convert(table, BusFault)
-
-
 @pytest.mark.parametrize(
     ("table", "complaint"),
     [
         ({"kind": "melted", "message": "Etc1"}, "Invalid value 'melted'"),
-        ({"message": "Etc1"}, "missing required field `kind`"),
         ({"kind": "loss"}, "missing required field `message`"),
         ({"kind": "loss", "message": "Grant"}, "Invalid enum value 'Grant'"),
         ({"kind": "loss", "message": "Etc1", "probability": 0.0}, "> 0.0"),
-        ({"kind": "loss", "message": "Etc1", "every": 0}, ">= 1"),
         ({"kind": "loss", "message": "Etc1", "start_s": -1.0}, ">= 0.0"),
-        ({"kind": "loss", "message": "Etc1", "strength": 1}, "unknown field `strength`"),
-        ({"kind": "delay", "message": "Etc1"}, "missing required field `delay_s`"),
         ({"kind": "dead", "node": "plant"}, "Invalid enum value 'plant'"),
         ({"kind": "bus_off", "node": "gearbox"}, "Invalid enum value 'gearbox'"),
     ],
 )
 def test_what_is_not_implemented_is_refused(table: dict[str, object], complaint: str) -> None:
     with pytest.raises(msgspec.ValidationError) as refused:
-        convert(table)
+        msgspec.convert(table, BusFault)
     assert complaint in str(refused.value)
 
 

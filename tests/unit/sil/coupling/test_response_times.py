@@ -177,11 +177,6 @@ def test_shared_identifiers_are_refused() -> None:
     assert len(response_times([pair[0], other_format], 500_000)) == 2
 
 
-def test_no_messages_no_results() -> None:
-    assert response_times([], 500_000) == ()
-    assert utilisation([], 500_000) == 0
-
-
 def test_a_foreign_database() -> None:
     truck = {kind.__name__: spec_of(kind).cycle_ns for kind in TRUCK}
     everything = database_messages(load_dbc(DBC_PATH))
