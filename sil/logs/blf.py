@@ -216,16 +216,16 @@ class BlfWriter(LogWriter):
             self.lose(frame.direction or frame.fd or frame.remote, "flags of an error frame")
             kind = layout.ObjectType.CAN_ERROR_EXT
             data = self.error_data(frame)
-            body = layout.CAN_ERROR_EXT.pack(channel, 0, 0, 0, 0, len(data), 0, word, 0, data)
+            body = layout.FRAME_LAYOUTS[kind].pack(channel, 0, 0, 0, 0, len(data), 0, word, 0, data)
         elif frame.fd:
             kind = layout.ObjectType.CAN_FD
             fd_flags = 1 | frame.brs << 1 | frame.esi << 2
-            body = layout.CAN_FD.pack(
+            body = layout.FRAME_LAYOUTS[kind].pack(
                 channel, flags, frame.dlc, word, 0, 0, fd_flags, len(frame.data), frame.data
             )
         else:
             kind = layout.ObjectType.CAN
-            body = layout.CAN.pack(channel, flags, frame.dlc, word, frame.data)
+            body = layout.FRAME_LAYOUTS[kind].pack(channel, flags, frame.dlc, word, frame.data)
         header_size = layout.OBJECT.size + layout.TIMES_V1.size
         size = header_size + len(body)
         self._buffer += layout.OBJECT.pack(b"LOBJ", header_size, 1, size, kind)

@@ -32,13 +32,6 @@ TIMES_V2: Final = struct.Struct("<LBxHQ8x")
 CONTAINER: Final = struct.Struct("<H6xL4x")
 """Compression method, unpacked size."""
 
-CAN: Final = struct.Struct("<HBBL8s")
-CAN_ERROR_OLD: Final = struct.Struct("<HH")
-CAN_ERROR_EXT: Final = struct.Struct("<HHLBBBxLLH2x8s")
-CAN_FD: Final = struct.Struct("<HBBLLBBB5x64s")
-CAN_FD_64: Final = struct.Struct("<BBBBLLLLLLLHBBL")
-CAN_FD_ERROR_64: Final = struct.Struct("<BBBBHHBxHLLLLLHHL")
-
 
 class ObjectType(IntEnum):
     """Types of objects that are read."""
@@ -54,7 +47,7 @@ class ObjectType(IntEnum):
 
 
 PLAIN: Final = struct.Struct("<4sHHLLL4xQHBBL8s")
-"""A classic frame as a whole: header, time flag, ticks, and `CAN`."""
+"""A classic frame as a whole: header, time flag, ticks, and its fields."""
 
 _PLAIN_HEADERS: Final = frozenset(
     (b"LOBJ", OBJECT.size + TIMES_V1.size, 1, PLAIN.size, kind)
@@ -76,14 +69,17 @@ _OTHER_TYPES: Final = {
     115: "unused bytes",
     120: "Ethernet frame",
 }
-FRAME_LAYOUTS: Final = {
-    ObjectType.CAN: CAN,
-    ObjectType.CAN_2: CAN,
-    ObjectType.CAN_ERROR: CAN_ERROR_OLD,
-    ObjectType.CAN_ERROR_EXT: CAN_ERROR_EXT,
-    ObjectType.CAN_FD: CAN_FD,
-    ObjectType.CAN_FD_64: CAN_FD_64,
-    ObjectType.CAN_FD_ERROR_64: CAN_FD_ERROR_64,
+FRAME_LAYOUTS: Final[dict[int, struct.Struct]] = {
+    kind: struct.Struct(layout)
+    for kind, layout in (
+        (ObjectType.CAN, "<HBBL8s"),
+        (ObjectType.CAN_2, "<HBBL8s"),
+        (ObjectType.CAN_ERROR, "<HH"),
+        (ObjectType.CAN_ERROR_EXT, "<HHLBBBxLLH2x8s"),
+        (ObjectType.CAN_FD, "<HBBLLBBB5x64s"),
+        (ObjectType.CAN_FD_64, "<BBBBLLLLLLLHBBL"),
+        (ObjectType.CAN_FD_ERROR_64, "<BBBBHHBxHLLLLLHHL"),
+    )
 }
 
 
@@ -155,30 +151,29 @@ def name_of(kind: int) -> str:
 
 def frame_of(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame:
     """Return the frame of an object. Raises ValueError for one that no bus can carry."""
+    fields = FRAME_LAYOUTS[kind].unpack_from(body)
     if kind in (ObjectType.CAN, ObjectType.CAN_2):
-        channel, flags, dlc, word, data = CAN.unpack_from(body)
+        channel, flags, dlc, word, data = fields
         frame = _built(time_ns, word, data[:dlc], channel, flags & 0x0F, dlc, bool(flags & REMOTE))
     elif kind == ObjectType.CAN_FD:
-        channel, flags, dlc, word, _, _, fd, length, data = CAN_FD.unpack_from(body)
+        channel, flags, dlc, word, _, _, fd, length, data = fields
         remote = bool(flags & REMOTE)
         frame = _built(time_ns, word, data[:length], channel, flags & 0x0F, dlc, remote, fd)
     elif kind == ObjectType.CAN_FD_64:
-        fields = CAN_FD_64.unpack_from(body)
         channel, dlc, length, _, word, _, flags = fields[:7]
         extra = fields[13]
-        stored = (extra - header_size if extra > header_size else len(body)) - CAN_FD_64.size
+        begin = FRAME_LAYOUTS[ObjectType.CAN_FD_64].size
+        stored = (extra - header_size if extra > header_size else len(body)) - begin
         # Vector's own writer leaves out trailing zero bytes that `length` still counts.
-        data = body[CAN_FD_64.size :][: max(min(stored, length), 0)].ljust(length, b"\x00")
+        data = body[begin:][: max(min(stored, length), 0)].ljust(length, b"\x00")
         remote = bool(flags & 0x10)
         frame = _built(time_ns, word, data, channel, fields[12], dlc, remote, flags >> 12)
     elif kind == ObjectType.CAN_ERROR_EXT:
-        fields = CAN_ERROR_EXT.unpack_from(body)
         data = fields[9][: min(fields[5], 8)]
         frame = _built(time_ns, fields[7], data, fields[0], 2, 0, False)._replace(error=True)
     else:
         fd = kind == ObjectType.CAN_FD_ERROR_64
-        channel = (CAN_FD_ERROR_64 if fd else CAN_ERROR_OLD).unpack_from(body)[0]
-        frame = LogFrame(time_ns, 0, b"", False, error=True, fd=fd, channel=str(channel))
+        frame = LogFrame(time_ns, 0, b"", False, error=True, fd=fd, channel=str(fields[0]))
     if problem := frame_problem(frame):
         raise ValueError(f"{problem}, {len(body)} bytes left out")
     return frame

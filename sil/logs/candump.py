@@ -41,6 +41,7 @@ _TRUCKDEVIL = re.compile(
     r"([0-9A-F]{8})\s+([0-9A-F]{2}) ([0-9A-F]{4}) ([0-9A-F]{2}) --> ([0-9A-F]{2}) "
     r"\[(\d{4})\] ([0-9A-F]*)\Z"
 )
+_DATA = re.compile(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
 
 
@@ -108,16 +109,17 @@ def _identifier(digits: str) -> tuple[int, bool, bool]:
 
 def _compact(match: re.Match[str]) -> tuple[LogFrame, bool]:
     channel, digits, body, letter = match.groups()
-    if re.match(r"[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#", body):
+    if ":" in body and re.match(r"[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#", body):
         raise NotAFrame("CAN XL frame")
     can_id, extended, error = _identifier(digits)
     direction = _DIRECTIONS[letter or ""]
-    if remote := re.match(r"[Rr](?:([0-8])(?:_([9A-Fa-f]))?)?\Z", body):
+    is_remote = body[:1] in ("R", "r")
+    if is_remote and (remote := re.match(r"[Rr](?:([0-8])(?:_([9A-Fa-f]))?)?\Z", body)):
         code = int(remote[2] or remote[1] or "0", 16)
         flags = extended, True, error, False, False, False
         frame = LogFrame(0, can_id, b"", *flags, channel, direction, code)
         return frame, bool(direction or remote[2])
-    data = re.match(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z", body)
+    data = _DATA.match(body)
     if data is None:
         raise ValueError(f"data {body[:24]!r} is not pairs of hex digits")
     payload = bytes.fromhex(data[2].replace(".", ""))

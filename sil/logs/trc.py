@@ -259,7 +259,7 @@ class TrcWriter(RelativeWriter):
         identifier = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:04X}"
         kind = "RR" if frame.remote else "DT"
         if frame.fd and not frame.remote:
-            kind = next(k for k, flags in _FD_TYPES.items() if flags == (frame.brs, frame.esi))
+            kind = (("FD", "BI"), ("FB", "FE"))[frame.brs][frame.esi]
         self.lose(frame.fd and frame.remote, "CAN FD flag of a remote frame")
         if frame.error:
             kind, identifier = "ER", "-"

@@ -16,6 +16,8 @@ from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log
 from sil.logs import blf_objects as blf
 from sil.logs.blf import BlfReader
+from sil.logs.blf_objects import FRAME_LAYOUTS as LAYOUTS
+from sil.logs.blf_objects import ObjectType
 from sil.logs.report import LogReport
 
 START_NS = 1_700_000_000_123 * 10**6
@@ -37,7 +39,7 @@ def container(content: bytes, *, method: int = 2) -> bytes:
     """A log container."""
     packed = zlib.compress(content) if method == 2 else content
     size = blf.OBJECT.size + blf.CONTAINER.size + len(packed)
-    header = blf.OBJECT.pack(b"LOBJ", blf.OBJECT.size, 1, size, blf.ObjectType.CONTAINER)
+    header = blf.OBJECT.pack(b"LOBJ", blf.OBJECT.size, 1, size, ObjectType.CONTAINER)
     return header + blf.CONTAINER.pack(method, len(content)) + packed + bytes(size % 4)
 
 
@@ -51,8 +53,10 @@ def file_of(*parts: bytes, start_ns: int = START_NS, stated_size: int = 0) -> by
 
 
 def can(number: int, *, flags: int = 0, dlc: int = 8, channel: int = 1) -> bytes:
-    body = blf.CAN.pack(channel, flags, dlc, 0x100 + number, bytes([number % 256]) * 8)
-    return as_object(blf.ObjectType.CAN, body, number * 1000)
+    body = LAYOUTS[ObjectType.CAN].pack(
+        channel, flags, dlc, 0x100 + number, bytes([number % 256]) * 8
+    )
+    return as_object(ObjectType.CAN, body, number * 1000)
 
 
 def read(blob: bytes, tmp_path: Path, *, strict: bool = False):  # type: ignore[no-untyped-def]
@@ -79,27 +83,29 @@ CLASSIC = LogFrame(START_NS + 5, 0x123, b"\x01\x02\x03", False, channel="2", dir
 
 def test_objects_of_every_kind() -> None:
     data = b"\x01\x02\x03"
-    assert one(blf.CAN.pack(2, 0, 3, 0x123, data), blf.ObjectType.CAN) == CLASSIC
-    assert one(blf.CAN.pack(2, 1, 3, 0x123, data), blf.ObjectType.CAN_2) == CLASSIC._replace(
-        direction="Tx"
-    )
-    assert one(blf.CAN.pack(2, 0x80, 3, 0x80000123, b""), blf.ObjectType.CAN) == CLASSIC._replace(
-        data=b"", extended=True, remote=True, raw_dlc=3
-    )
-    assert one(blf.CAN.pack(2, 0, 12, 0x123, bytes(8)), blf.ObjectType.CAN) == CLASSIC._replace(
-        data=bytes(8), raw_dlc=12
-    )
-    fd = blf.CAN_FD.pack(2, 0, 9, 0x123, 0, 0, 7, 12, bytes(range(12)))
+    assert one(LAYOUTS[ObjectType.CAN].pack(2, 0, 3, 0x123, data), ObjectType.CAN) == CLASSIC
+    assert one(
+        LAYOUTS[ObjectType.CAN].pack(2, 1, 3, 0x123, data), ObjectType.CAN_2
+    ) == CLASSIC._replace(direction="Tx")
+    assert one(
+        LAYOUTS[ObjectType.CAN].pack(2, 0x80, 3, 0x80000123, b""), ObjectType.CAN
+    ) == CLASSIC._replace(data=b"", extended=True, remote=True, raw_dlc=3)
+    assert one(
+        LAYOUTS[ObjectType.CAN].pack(2, 0, 12, 0x123, bytes(8)), ObjectType.CAN
+    ) == CLASSIC._replace(data=bytes(8), raw_dlc=12)
+    fd = LAYOUTS[ObjectType.CAN_FD].pack(2, 0, 9, 0x123, 0, 0, 7, 12, bytes(range(12)))
     long = CLASSIC._replace(data=bytes(range(12)), fd=True, brs=True, esi=True)
-    assert one(fd, blf.ObjectType.CAN_FD) == long
-    fd_64 = blf.CAN_FD_64.pack(2, 9, 12, 0, 0x123, 0, 0x7000, 0, 0, 0, 0, 0, 0, 0, 0)
-    assert one(fd_64 + bytes(range(12)), blf.ObjectType.CAN_FD_64) == long
-    error = blf.CAN_ERROR_EXT.pack(2, 0, 0, 0, 0, 3, 0, 0x123, 0, data)
-    assert one(error, blf.ObjectType.CAN_ERROR_EXT) == CLASSIC._replace(error=True, direction="")
-    assert one(blf.CAN_ERROR_OLD.pack(2, 0), blf.ObjectType.CAN_ERROR) == LogFrame(
+    assert one(fd, ObjectType.CAN_FD) == long
+    fd_64 = LAYOUTS[ObjectType.CAN_FD_64].pack(
+        2, 9, 12, 0, 0x123, 0, 0x7000, 0, 0, 0, 0, 0, 0, 0, 0
+    )
+    assert one(fd_64 + bytes(range(12)), ObjectType.CAN_FD_64) == long
+    error = LAYOUTS[ObjectType.CAN_ERROR_EXT].pack(2, 0, 0, 0, 0, 3, 0, 0x123, 0, data)
+    assert one(error, ObjectType.CAN_ERROR_EXT) == CLASSIC._replace(error=True, direction="")
+    assert one(LAYOUTS[ObjectType.CAN_ERROR].pack(2, 0), ObjectType.CAN_ERROR) == LogFrame(
         START_NS + 5, 0, b"", False, error=True, channel="2"
     )
-    assert one(bytes([2]) + bytes(60), blf.ObjectType.CAN_FD_ERROR_64) == LogFrame(
+    assert one(bytes([2]) + bytes(60), ObjectType.CAN_FD_ERROR_64) == LogFrame(
         START_NS + 5, 0, b"", False, error=True, fd=True, channel="2"
     )
     for kind, name in ((65, "text"), (12, "LIN event"), (4711, "BLF object of type 4711")):
@@ -108,17 +114,19 @@ def test_objects_of_every_kind() -> None:
 
 def test_trailing_zero_bytes_that_vector_leaves_out() -> None:
     """CANoe stores fewer bytes than the length states; the missing ones are zero."""
-    body = blf.CAN_FD_64.pack(1, 15, 64, 0, 0x123, 0, 0x1000, 0, 0, 0, 0, 0, 0, 0, 0)
-    found = one(body + b"\x01\x02", blf.ObjectType.CAN_FD_64)
+    body = LAYOUTS[ObjectType.CAN_FD_64].pack(
+        1, 15, 64, 0, 0x123, 0, 0x1000, 0, 0, 0, 0, 0, 0, 0, 0
+    )
+    found = one(body + b"\x01\x02", ObjectType.CAN_FD_64)
     assert isinstance(found, LogFrame)
     assert found.data == b"\x01\x02" + bytes(62)
 
 
 def test_times_in_both_units_and_header_versions() -> None:
-    body = blf.CAN.pack(2, 0, 3, 0x123, b"\x01\x02\x03")
-    assert one(body, blf.ObjectType.CAN, flags=1) == CLASSIC._replace(time_ns=START_NS + 50_000)
-    assert one(body, blf.ObjectType.CAN, version=2) == CLASSIC
-    found, report = objects(as_object(blf.ObjectType.CAN, body, flags=0))
+    body = LAYOUTS[ObjectType.CAN].pack(2, 0, 3, 0x123, b"\x01\x02\x03")
+    assert one(body, ObjectType.CAN, flags=1) == CLASSIC._replace(time_ns=START_NS + 50_000)
+    assert one(body, ObjectType.CAN, version=2) == CLASSIC
+    found, report = objects(as_object(ObjectType.CAN, body, flags=0))
     assert not found and str(report.skipped_locations[0]).startswith("byte 144: time flag 0, 48 ")
 
 
@@ -129,7 +137,7 @@ def test_times_in_both_units_and_header_versions() -> None:
             st.sampled_from((0, 1, 2, 0x80)),
             st.integers(0, 15),
             st.integers(0, 0x7FF) | st.integers(0x80000000, 0x9FFFFFFF),
-            st.sampled_from((blf.ObjectType.CAN, blf.ObjectType.CAN_2, blf.ObjectType.CAN_ERROR)),
+            st.sampled_from((ObjectType.CAN, ObjectType.CAN_2, ObjectType.CAN_ERROR)),
             st.sampled_from((1, 2)),
         ),
         max_size=8,
@@ -141,7 +149,7 @@ def test_runs_of_plain_frames_are_read_as_each_by_itself(
 ) -> None:
     blobs = []
     for ticks, flags, dlc, word, kind, unit in rows:
-        body = blf.CAN.pack(7, flags, dlc, word, bytes(range(8)))
+        body = LAYOUTS[ObjectType.CAN].pack(7, flags, dlc, word, bytes(range(8)))
         blobs.append(as_object(kind, body, ticks % 2**40, flags=unit))
     found, report = objects(b"".join(blobs))
     alone = [objects(blob) for blob in blobs]
@@ -199,7 +207,8 @@ def test_a_cut_log_gives_what_there_is(tmp_path: Path) -> None:
 
     rng = random.Random(1)
     body = b"".join(
-        as_object(1, blf.CAN.pack(1, 0, 8, i, rng.randbytes(8)), i) for i in range(2000)
+        as_object(1, LAYOUTS[ObjectType.CAN].pack(1, 0, 8, i, rng.randbytes(8)), i)
+        for i in range(2000)
     )
     blob = file_of(container(body))
     frames, report = read(blob[: len(blob) // 2], tmp_path)

@@ -237,29 +237,22 @@ def test_lines_that_say_nothing(line: str) -> None:
 class TestDeltaTimes:
     """Differences and times from zero look alike; what tells them apart."""
 
-    @staticmethod
-    def log(*times_us: int) -> list[LogFrame]:
-        return [frame(t, 1, "") for t in times_us]
-
-    def test_times_that_fall_often_are_differences(self) -> None:
-        assert look_like_deltas(self.log(0, 100, 90, 110, 95))
-
-    def test_equal_steps_are_differences(self) -> None:
-        assert look_like_deltas(self.log(0, 100, 100, 100, 100))
-
-    def test_a_clock_runs_on(self) -> None:
-        assert not look_like_deltas(self.log(0, 100, 200, 300, 400))
-
-    def test_a_clock_may_step_back_once(self) -> None:
-        times = list(range(0, 3000, 100))
-        times[20] -= 550
-        assert not look_like_deltas(self.log(*times))
-
-    def test_a_log_that_does_not_begin_at_zero_has_times(self) -> None:
-        assert not look_like_deltas(self.log(5, 100, 90, 110, 95))
-
-    def test_two_frames_tell_nothing(self) -> None:
-        assert not look_like_deltas(self.log(0, 100))
+    @pytest.mark.parametrize(
+        ("times_us", "differences"),
+        [
+            ((0, 100, 90, 110, 95), True),
+            ((0, 100, 100, 100, 100), True),
+            ((0, 100, 200, 300, 400), False),
+            ((*range(0, 2000, 100), 1450, *range(2100, 3000, 100)), False),
+            ((5, 100, 90, 110, 95), False),
+            ((0, 100), False),
+        ],
+        ids=["fall often", "equal steps", "clock", "one step back", "not from zero", "only two"],
+    )
+    def test_what_looks_like_differences(
+        self, times_us: tuple[int, ...], differences: bool
+    ) -> None:
+        assert look_like_deltas([frame(t, 1, "") for t in times_us]) is differences
 
     def test_stated_times_are_used(self, tmp_path: Path) -> None:
         path = tmp_path / "log.txt"

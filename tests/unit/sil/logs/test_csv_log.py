@@ -13,19 +13,34 @@ from sil.logs.csv_log import OUR_HEADER
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 
 
-def test_python_can_table() -> None:
-    assert list(open_log(DATA / "python_can.csv")) == [
+TABLES = {
+    "python_can.csv": [
         LogFrame(1_483_389_946_197_000_000, 0xDADADA, b"[42, 9]"),
         LogFrame(1_483_389_946_198_000_000, 0x123, bytes(range(6)), False),
         LogFrame(1_483_389_946_199_000_000, 0x123, b"", False, remote=True, raw_dlc=8),
-    ]
-
-
-def test_savvycan_table() -> None:
-    assert list(open_log(DATA / "savvycan.csv")) == [
+    ],
+    "savvycan.csv": [
         LogFrame(10**9, 0x18FEF100, bytes.fromhex("FFFF7D06FFFFFFFF"), channel="0", direction="Rx"),
         LogFrame(1_000_123_000, 0x123, b"\x01\xa2", False, channel="1", direction="Tx"),
-    ]
+    ],
+    "css.csv": [
+        LogFrame(
+            *(1_578_922_367_777_150_000, 0x14FEF131, bytes.fromhex("CFFFFFF300FFFF30")),
+            channel="1",
+            direction="Rx",
+        ),
+        LogFrame(
+            *(1_578_922_367_777_750_000, 0x123, bytes(range(12)), False, False, False, True, True),
+            channel="1",
+            direction="Tx",
+        ),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_other_tools(name: str) -> None:
+    assert list(open_log(DATA / name)) == TABLES[name]
 
 
 def test_savvycan_stamps_since_1970(tmp_path: Path) -> None:
@@ -45,28 +60,6 @@ def test_gvret_table_without_a_direction(tmp_path: Path) -> None:
     )
     assert list(open_log(path)) == [
         LogFrame(166_064_000_000, 0x21A, b"\xfe\x36", False, channel="0")
-    ]
-
-
-def test_css_electronics_table() -> None:
-    assert list(open_log(DATA / "css.csv")) == [
-        LogFrame(
-            1_578_922_367_777_150_000,
-            0x14FEF131,
-            bytes.fromhex("CFFFFFF300FFFF30"),
-            channel="1",
-            direction="Rx",
-        ),
-        LogFrame(
-            1_578_922_367_777_750_000,
-            0x123,
-            bytes(range(12)),
-            False,
-            fd=True,
-            brs=True,
-            channel="1",
-            direction="Tx",
-        ),
     ]
 
 

@@ -84,21 +84,17 @@ def test_calendar() -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("text", "moment"),
     [
-        "Sat Sep 30 22:06:13.191 2017",
-        "Sam Sep 30 22:06:13.191 2017",
-        "Sat Sep 30 10:06:13.191 PM 2017",
-        "Sat Sep 30 10:06:13.191 pm 2017",
+        ("Sat Sep 30 22:06:13.191 2017", (2017, 9, 30, 22, 6, 13, 191_000_000)),
+        ("Sam Sep 30 22:06:13.191 2017", (2017, 9, 30, 22, 6, 13, 191_000_000)),
+        ("Sat Sep 30 10:06:13.191 PM 2017", (2017, 9, 30, 22, 6, 13, 191_000_000)),
+        ("Thu Dez 28 12:00:00 am 2022", (2022, 12, 28)),
+        ("Thu Mai 5 12:00:00 pm 2022", (2022, 5, 5, 12)),
     ],
 )
-def test_dates_of_loggers(text: str) -> None:
-    assert parse_date(text) == utc_ns(2017, 9, 30, 22, 6, 13, 191_000_000)
-
-
-def test_dates_at_noon_and_midnight() -> None:
-    assert parse_date("Thu Dez 28 12:00:00 am 2022") == utc_ns(2022, 12, 28)
-    assert parse_date("Thu Mai 5 12:00:00 pm 2022") == utc_ns(2022, 5, 5, 12)
+def test_dates_of_loggers(text: str, moment: tuple[int, ...]) -> None:
+    assert parse_date(text) == utc_ns(*moment)
 
 
 @pytest.mark.parametrize(
