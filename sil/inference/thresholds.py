@@ -52,6 +52,8 @@ class Thresholds:
     """No cause is given more: the catalogue itself may be wrong."""
     max_doubted_probability: float = 0.45
     """Most that a cause in doubt is given."""
+    max_robust_probability: float = 0.9
+    """Most of a cause beside a residual whose descriptions leave it as it is (force rigs)."""
     doubt_from_share: float = 0.005
     """Share of the healthy misfit, left by the leader, from which its causes are doubted, ..."""
     doubt_to_share: float = 0.05

@@ -6,7 +6,6 @@ Checked by: tests/unit/sil/inference/force/test_rig.py
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,18 +14,10 @@ from sil.campaign.campaign import Floats
 from sil.files.quantity import counted
 from sil.inference.campaign.noise import rounding_of
 
-MOVING_SHARE: Final = 0.25
-"""Share of a run at one position with forces above the median in motion: then it is no rest."""
-LONE, LONE_SHARE, MOVING_STILL = 5.0, 0.1, 0.3
-"""A single step is a jump if it is so much larger than any other and at least this share of the position's
-range, and if without it the body still moves over this share."""
-CONTINUED: Final = 0.25
-"""A sample that two before, or two after it run straight on to, within this share of its height, is no spike."""
-
 
 def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
     """Return what forbids conclusions from channels [3, n], which begin at sample `first`."""
-    found = []
+    findings = []
     for name, values in zip(("position", "force", "pressure"), signals, strict=True):
         if np.isnan(values[0]):
             continue
@@ -39,17 +30,17 @@ def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
         for what, rows in flaws.items():
             if len(rows):
                 where = f"the first at sample {first + rows[0] + 1}"
-                found.append(f"{file}: {name}: {counted(len(rows), what)}, {where}")
+                findings.append(f"{file}: {name}: {counted(len(rows), what)}, {where}")
         if name == "position":
-            what, (start, held) = name, _held(values, signals[1])
+            what, (start, length) = name, _held(values, signals[1])
         else:
-            what, (start, held) = f"driving {name}", _stuck(values, signals[0])
-        if held:
-            found.append(
-                f"{file}: the {what} keeps one value over {held} samples in motion from "
+            what, (start, length) = f"driving {name}", _stuck(values, signals[0])
+        if length:
+            findings.append(
+                f"{file}: the {what} keeps one value over {length} samples in motion from "
                 f"sample {first + start + 1} on: stuck or saturated"
             )
-    return found
+    return findings
 
 
 def _spikes(values: Floats) -> NDArray[np.int64]:
@@ -61,13 +52,13 @@ def _spikes(values: Floats) -> NDArray[np.int64]:
         far[k:-k] |= out > max(
             15.0 * float(np.median(out)), 10.0 * np.quantile(out, 0.9), 0.05 * span
         )
-    found = []
+    spikes = []
     for row in np.flatnonzero(far[6:-6]) + 6:
         around = np.concatenate([values[row - 6 : row - 1], values[row + 2 : row + 7]])
         height = np.abs(values[row] - np.median(around))
-        if height > 2.0 * np.ptp(around) and not _continues(values, int(row), CONTINUED * height):
-            found.append(row)
-    rows = np.array(found, dtype=np.int64)
+        if height > 2.0 * np.ptp(around) and not _continues(values, int(row), 0.25 * height):
+            spikes.append(row)
+    rows = np.array(spikes, dtype=np.int64)
     return rows[np.diff(rows, prepend=-2) > 1]
 
 
@@ -89,7 +80,8 @@ def _moves(position: Floats) -> NDArray[np.bool_]:
 def _jumps(position: Floats) -> NDArray[np.int64]:
     """Return where a position [n] moves within one sample as far as it never does otherwise.
 
-    Where moves take few samples their steps are large, and only a step far larger than any other counts.
+    Where moves take few samples their steps are large: a single step counts if it is five times any other
+    and the body moves without it, too.
     """
     moves = np.diff(position)
     steps, span = np.abs(moves), float(np.ptp(position))
@@ -97,9 +89,9 @@ def _jumps(position: Floats) -> NDArray[np.int64]:
     rows = np.flatnonzero(steps > max(20.0 * usual, 0.02 * span))
     k = int(np.argmax(steps))
     others = np.delete(steps, np.arange(max(k - 1, 0), min(k + 2, len(steps))))
-    if not len(rows) and steps[k] > max(LONE * float(others.max(initial=0.0)), LONE_SHARE * span):
+    if not len(rows) and steps[k] > max(5.0 * float(others.max(initial=0.0)), 0.1 * span):
         without = position - np.where(np.arange(len(position)) > k, moves[k], 0.0)
-        if np.ptp(without) > MOVING_STILL * span:
+        if np.ptp(without) > 0.3 * span:
             return np.array([k])
     return rows
 
@@ -136,6 +128,6 @@ def _held(position: Floats, force: Floats) -> tuple[int, int]:
     strong = np.abs(force) > np.median(np.abs(force[moving]))
     for run in _runs(position):
         inside = 0.02 < (position[run.start] - low) / (high - low) < 0.98
-        if inside and np.mean(strong[run]) > MOVING_SHARE:
+        if inside and np.mean(strong[run]) > 0.25:
             return run.start, run.stop - run.start
     return 0, 0

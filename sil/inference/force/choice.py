@@ -18,8 +18,6 @@ from sil.inference.verdict import Verdict, decide, weigh
 
 ALIKE = 2.0
 """A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""
-LEAST_OF_EXCESS = 0.5
-"""A cause explains at least this share of the misfit that is there without it."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +69,16 @@ def has_one_value(bank: Bank, item: Tried, group: Group) -> bool:
     """
     if group.id == UNNAMED:
         return True
-    k = bank.own(item.groups).index(group.columns[0])
+    k = bank.columns_of(item.groups).index(group.columns[0])
     for condition in CONDITIONS.values():
         values = condition(bank.record.raw)[bank.record.judged]
         middle = np.median(values)
         for rows in (values < middle, values >= middle):
-            own, deviations = bank.fitted_on(item.groups, rows)
-            ratio, error = own[k] / item.values[k], 2.0 * deviations[k] / abs(item.values[k])
+            values_of_half, deviations = bank.fitted_on(item.groups, rows)
+            ratio, error = (
+                values_of_half[k] / item.values[k],
+                2.0 * deviations[k] / abs(item.values[k]),
+            )
             if ratio + error < 1.0 / ALIKE or ratio - error > ALIKE:
                 return False
     return True
@@ -95,6 +96,6 @@ def acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
             return False
         if without.groups and without.rms_n <= LIMITS.max_residual_ratio * without.noise_n:
             return False  # nothing is missing: the cause corrects the form of the other one
-        if item.whole.excess > (1.0 - LEAST_OF_EXCESS) * max(without.whole.excess, 0.0):
+        if item.whole.excess > 0.5 * max(without.whole.excess, 0.0):
             return False
     return True

@@ -17,19 +17,9 @@ from sil.inference.force.fit import SURE, Bank, Group
 from sil.inference.force.record import FEWEST_SAMPLES, FEWEST_STROKES, RADIUS, Recorded
 from sil.inference.thresholds import LIMITS
 
-LONGEST_S = 0.5
-SHARE_OF_PART = 8
-"""A delay is sought up to one part in so many of the longest part of a file."""
-COARSE = 250
-"""Most lags each way that are tried before those between them."""
-MOST_SAMPLES = 5000
-ROUNDS = 2
-"""With the columns of the leader, which may be another one each time, a lag is sought at most so often."""
 LEAVES = 0.2
 """A delay beyond a sampling step gains what a cause must gain, and leaves at most this share of the leader's
 excess over noise; in each half of the record, too, or it leaves no more than noise there."""
-LEAST = 0.2
-"""A delay within a sampling step takes at least this share of the excess of what leaves least."""
 NEAR = 0.1
 """So near to half a step early, in steps, a force is held from sample to sample; a step ends so near."""
 
@@ -62,10 +52,10 @@ def without_delay(record: Recorded) -> tuple[Choice, str, str]:
     choice = choose(record)
     if choice.is_explained and not choice.leader.groups:
         return choice, "", ""
-    found = [item for what, too in _ways(record) if (item := _delay(choice, what, too))]
-    if not found:
+    delays = [item for what, too in _ways(record) if (item := _delay(choice, what, too))]
+    if not delays:
         return choice, "", ""
-    delay = min(found, key=lambda item: item.choice.leader.over_noise)
+    delay = min(delays, key=lambda item: item.choice.leader.over_noise)
     if delay.is_within(record.step_s):
         if choice.is_explained:
             return choice, "", ""
@@ -79,10 +69,10 @@ def without_delay(record: Recorded) -> tuple[Choice, str, str]:
 
 def _ways(record: Recorded) -> list[tuple[str, bool]]:
     """Return what can be late, and whether the pressures that add to the force are late with it."""
-    what, own = "driving force", record.recorded_n
+    what, recorded_n = "driving force", record.recorded_n
     if not (record.body.piston_area_m2 or record.body.area_2_m2):
         return [(what, False)]
-    if np.ptp(own) == 0.0 or np.array_equal(own, record.raw.force_n):
+    if np.ptp(recorded_n) == 0.0 or np.array_equal(recorded_n, record.raw.force_n):
         return [(what, True)]
     return [(what, False), (f"{what} with its pressures", True)]
 
@@ -100,7 +90,7 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
 
     steps = _lag(choice.bank, choice.bank.groups, pressures)
     now = moved(steps * step_s)
-    for _ in range(ROUNDS):
+    for _ in range(2):
         more = _lag(now.bank, now.leader.groups, pressures)
         if not more:
             break
@@ -112,16 +102,16 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
         late_s = -0.5 * step_s
     if not late_s:
         return None
-    found = Delay(what, late_s, now if late_s == whole_s else moved(late_s))
-    if found.is_within(step_s):
-        before, after = (item.closest.over_noise for item in (choice, found.choice))
-        return found if after**2 - 1.0 < (1.0 - LEAST) * (before**2 - 1.0) else None
-    (before, *parts), (after, *left) = _excess(choice), _excess(found.choice)
+    delay = Delay(what, late_s, now if late_s == whole_s else moved(late_s))
+    if delay.is_within(step_s):
+        before, after = (item.closest.over_noise for item in (choice, delay.choice))
+        return delay if after**2 - 1.0 < 0.8 * (before**2 - 1.0) else None
+    (before, *parts), (after, *left) = _excess(choice), _excess(delay.choice)
     gain = 0.5 * choice.leader.count * (before - after)
     least = LIMITS.needed_gain(len(choice.leader.squares))
     most = [max(LIMITS.max_residual_ratio**2 - 1.0, LEAVES * part) for part in parts]
     explains = after <= LEAVES * before and bool(np.all(np.less_equal(left, most)))
-    return found if explains and gain >= least else None
+    return delay if explains and gain >= least else None
 
 
 def _excess(choice: Choice) -> list[float]:
@@ -139,14 +129,14 @@ def _lag(bank: Bank, groups: Sequence[Group], pressures: bool) -> int:
     """
     record = bank.record
     lengths = np.diff(np.append(record.starts, len(record.judged)))
-    most = min(int(LONGEST_S / record.step_s), int(lengths.max()) // SHARE_OF_PART)
+    most = min(int(0.5 / record.step_s), int(lengths.max()) // 8)
     rows = np.flatnonzero(record.judged)
     inside = np.flatnonzero(_away(record, most)[rows])
     blocks = np.unique(record.raw.block[rows[inside]])
     if len(inside) < FEWEST_SAMPLES // 2 or len(blocks) < FEWEST_STROKES:
         return 0
-    picked = inside[:: max(1, len(inside) // MOST_SAMPLES)]
-    base = np.linalg.qr(bank.columns[picked][:, bank.own(groups)])[0]
+    picked = inside[:: max(1, len(inside) // 5000)]
+    base = np.linalg.qr(bank.columns[picked][:, bank.columns_of(groups)])[0]
     force = record.filtered(record.raw.force_n if pressures else record.recorded_n)
     fixed = bank.target[picked] - force[rows[picked]]
 
@@ -156,7 +146,7 @@ def _lag(bank: Bank, groups: Sequence[Group], pressures: bool) -> int:
         left = np.sum(target**2, axis=0) - np.sum((base.T @ target) ** 2, axis=0)
         return int(lags[np.argmin(left / (np.var(moved, axis=0) + 1e-300))])
 
-    coarse = max(1, most // COARSE)
+    coarse = max(1, most // 250)
     near = best(np.unique(np.r_[-most : most + 1 : coarse, max(-8, -most) : min(8, most) + 1]))
     return best(np.arange(max(-most, near - coarse), min(most, near + coarse) + 1))
 
@@ -168,7 +158,7 @@ def _rest_s(choice: Choice, pressures: bool) -> float:
     leader's residual.
     """
     bank, record = choice.bank, choice.bank.record
-    base = np.linalg.qr(bank.columns[:, bank.own(choice.closest.groups)])[0]
+    base = np.linalg.qr(bank.columns[:, bank.columns_of(choice.closest.groups)])[0]
     rate = record.filtered(record.raw.force_n if pressures else record.recorded_n, 1)
     both = (bank.target, rate[record.judged])
     rest, moved = (values - base @ (base.T @ values) for values in both)
@@ -186,22 +176,28 @@ def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:
     """
     from scipy.ndimage import correlate1d, shift
 
-    held = 1.0 / 24.0 if late_s == -0.5 * record.step_s else 0.0
+    curvature = 1.0 / 24.0 if late_s == -0.5 * record.step_s else 0.0
 
     def moved(values: Floats) -> Floats:
         parts = np.split(values, record.starts[1:])
         parts = [shift(p, -late_s / record.step_s, mode="nearest") for p in parts]
-        mean = (held, 1.0 - 2.0 * held, held)
+        mean = (curvature, 1.0 - 2.0 * curvature, curvature)
         return np.concatenate([correlate1d(p, mean, mode="nearest") for p in parts])
 
-    own, added, pressure = moved(record.recorded_n), record.raw.force_n - record.recorded_n, None
+    recorded_n, added, pressure = (
+        moved(record.recorded_n),
+        record.raw.force_n - record.recorded_n,
+        None,
+    )
     if record.raw.pressure_pa is not None:
         pressure = moved(record.raw.pressure_pa) if pressures else record.raw.pressure_pa
     raw = replace(
-        record.raw, force_n=own + (moved(added) if pressures else added), pressure_pa=pressure
+        record.raw,
+        force_n=recorded_n + (moved(added) if pressures else added),
+        pressure_pa=pressure,
     )
     judged = record.judged & _away(record, abs(late_s) / record.step_s)
-    return replace(record, raw=raw, recorded_n=own, judged=judged)
+    return replace(record, raw=raw, recorded_n=recorded_n, judged=judged)
 
 
 def _away(record: Recorded, steps: float) -> NDArray[np.bool_]:

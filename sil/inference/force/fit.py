@@ -36,18 +36,9 @@ VISCOUS = "viscous_n_s_m"
 BODY = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}
 POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
 ALIKE = 0.05
-"""A column is not offered if less than this share of it differs from the body's columns ..."""
-TOGETHER = 0.1
-"""... and not together with another if less than this share differs from both."""
-CLEAN = 10.0
-"""Least ratio of a fourth derivative to its noise, which is that of the acceleration too."""
+"""A column is not offered if less than this share of it differs from the body's columns."""
 SURE = 3.0
 """Least gain of a cause, in standard errors over the groups held out."""
-LEAST_NOISE = 1e-3
-"""A residual below this share of the driving force is explained: no model of a body is better."""
-STROKE_SCATTER = 0.05
-"""Coulomb friction of a healthy body may vary from stroke to stroke by this share."""
-MOST_TRIPLES = 5
 
 
 @dataclass(frozen=True)
@@ -99,17 +90,17 @@ class Tried(Explanation):
 
     @property
     def rms_n(self) -> float:
-        """HeldOutFits-out rms [N]."""
+        """Held-out rms [N]."""
         return float(np.sqrt(self.squares.sum() / self.samples))
 
     @property
     def over_noise(self) -> float:
-        """HeldOutFits-out rms over the noise of the balance; 1 = explained."""
+        """Held-out rms over the noise of the balance; 1 = explained."""
         return self.rms_n / self.noise_n
 
     @property
     def score(self) -> float:
-        """HeldOutFits-out cost in log evidence."""
+        """Held-out cost in log evidence."""
         return 0.5 * self.count * self.over_noise**2
 
     @cached_property
@@ -155,8 +146,10 @@ def gain_in_errors(item: Tried, other: Tried) -> float:
     gains = other.squares - item.squares
     shares = gains / (np.maximum(other.squares, item.squares) + 1e-300)
     return max(
-        float(own.sum() / (np.std(own, ddof=1) * np.sqrt(len(own)) + 1e-300))
-        for own in (gains, shares)
+        float(
+            differences.sum() / (np.std(differences, ddof=1) * np.sqrt(len(differences)) + 1e-300)
+        )
+        for differences in (gains, shares)
     )
 
 
@@ -187,7 +180,7 @@ class Bank:
             if term.id == UNNAMED:
                 self._add_term("pressure times position", term, raw)
         snap = record.filtered(raw.position_m, 4)[rows]
-        if np.std(snap) > CLEAN * record.position_sd_m * record.gain_of(4):
+        if np.std(snap) > 10.0 * record.position_sd_m * record.gain_of(4):
             self._add(FLEXIBLE, UNNAMED, "flexibility", None, snap)
         self._reduce()
 
@@ -213,10 +206,10 @@ class Bank:
             self.missing["mass_kg"] = (
                 "not determined: the acceleration stays within its noise; faster strokes would determine it"
             )
-        found: list[str] = []
+        determined: list[str] = []
         for name, column in table.items():
-            before = [table[n] for n in found]
-            if found and difference(np.linalg.qr(np.column_stack(before))[0], column) < ALIKE:
+            before = [table[n] for n in determined]
+            if determined and difference(np.linalg.qr(np.column_stack(before))[0], column) < ALIKE:
                 self.missing[name] = {
                     VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would determine it",
                     "offset_n": "not determined: the body moves one way only; strokes both ways would separate it from friction",
@@ -224,9 +217,9 @@ class Bank:
                     name, "not determined: moves with the others; other speeds would separate them"
                 )
             else:
-                found.append(name)
-        self._columns += [table[name] for name in found]
-        return tuple(found)
+                determined.append(name)
+        self._columns += [table[name] for name in determined]
+        return tuple(determined)
 
     def _add_term(self, name: str, term: Term, raw: Motion) -> None:
         if term.form.needs_pressure and raw.pressure_pa is None:
@@ -289,33 +282,33 @@ class Bank:
         both = np.column_stack([self.columns, self.target]) * sign[:, None]
         self._means = np.add.reduceat(both[order], first) / self._sizes[:, None]
 
-    def own(self, groups: Sequence[Group]) -> list[int]:
+    def columns_of(self, groups: Sequence[Group]) -> list[int]:
         """Return the columns of a hypothesis, the body's first."""
         return [*range(len(self.body)), *(c for group in groups for c in group.columns)]
 
     def attempt(self, groups: Sequence[Group]) -> Tried:
         """Fit a hypothesis with every group of strokes held out in turn; deviations by jackknife."""
-        own = self.own(groups)
-        values, without = solved(*self._of(own))
+        picked = self.columns_of(groups)
+        values, without = solved(*self._of(picked))
         free = jackknife(without - values)
         # mass and friction are not negative: what comes out so is left out
-        held = list(own)
+        kept = list(picked)
         while True:
-            signed = [k for k in held if k < len(self.body) and self.body[k] in POSITIVE]
-            worst = min(signed, key=lambda k: values[own.index(k)], default=-1)
-            if worst < 0 or values[own.index(worst)] >= 0.0:
+            signed = [k for k in kept if k < len(self.body) and self.body[k] in POSITIVE]
+            worst = min(signed, key=lambda k: values[picked.index(k)], default=-1)
+            if worst < 0 or values[picked.index(worst)] >= 0.0:
                 break
-            held.remove(worst)
-            rows = [own.index(k) for k in held]
-            values, without = np.zeros(len(own)), np.zeros((len(without), len(own)))
-            values[rows], without[:, rows] = solved(*self._of(held))
-        grams, sides = self._of(own)
+            kept.remove(worst)
+            rows = [picked.index(k) for k in kept]
+            values, without = np.zeros(len(picked)), np.zeros((len(without), len(picked)))
+            values[rows], without[:, rows] = solved(*self._of(kept))
+        grams, sides = self._of(picked)
         squares = (
             self._squares
             - 2.0 * np.sum(without * sides, axis=1)
             + np.einsum("fi,fij,fj->f", without, grams, without)
         )
-        scale = self.scale[own]
+        scale = self.scale[picked]
         return Tried(
             tuple(groups),
             values / scale,
@@ -330,10 +323,10 @@ class Bank:
 
         weights: [k], for each parameter of the body.
         """
-        own = self.own(groups)
-        values, without = solved(*self._of(own))
-        shares = np.zeros(len(own))
-        shares[: len(weights)] = weights / self.scale[own][: len(weights)]
+        picked = self.columns_of(groups)
+        values, without = solved(*self._of(picked))
+        shares = np.zeros(len(picked))
+        shares[: len(weights)] = weights / self.scale[picked][: len(weights)]
         return float(shares @ values), float(jackknife((without - values) @ shares))
 
     def fitted_on(self, groups: Sequence[Group], rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
@@ -341,63 +334,67 @@ class Bank:
 
         Infinite deviations where the samples are of fewer than two groups of strokes.
         """
-        own = self.own(groups)
+        picked = self.columns_of(groups)
         if len(np.unique(self._fold[rows])) < 2:
-            return np.zeros(len(own)), np.full(len(own), np.inf)
-        grams, sides, _ = products(self.columns[rows][:, own], self.target[rows], self._fold[rows])
+            return np.zeros(len(picked)), np.full(len(picked), np.inf)
+        grams, sides, _ = products(
+            self.columns[rows][:, picked], self.target[rows], self._fold[rows]
+        )
         values, without = solved(grams, sides)
-        return values / self.scale[own], jackknife(without - values) / self.scale[own]
+        return values / self.scale[picked], jackknife(without - values) / self.scale[picked]
 
-    def _of(self, own: Sequence[int]) -> tuple[Floats, Floats]:
+    def _of(self, picked: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the products of these columns with each other [f, k, k] and with the target [f, k]."""
-        return self._grams[:, own][:, :, own], self._sides[:, own]
+        return self._grams[:, picked][:, :, picked], self._sides[:, picked]
 
     def model_n(self, item: Tried) -> Floats:
         """Return the force of a hypothesis [n] in N, without the stated mass's."""
-        own = self.own(item.groups)
-        return np.asarray(self.columns[:, own] @ (item.values * self.scale[own]))
+        picked = self.columns_of(item.groups)
+        return np.asarray(self.columns[:, picked] @ (item.values * self.scale[picked]))
 
     def all_tried(self) -> list[Tried]:
         """Return the plain body, every term with its best shape alone and in pairs, some triples."""
         best = self._best((group,) for group in self.groups)
         pairs = self._best(itertools.combinations(self.groups, 2))
-        leading = sorted(pairs, key=lambda item: item.rms_n)[:MOST_TRIPLES]
+        leading = sorted(pairs, key=lambda item: item.rms_n)[:5]
         triples = self._best((*pair.groups, group) for pair in leading for group in self.groups)
         return [self.attempt(()), *best, *pairs, *triples]
 
     def _best(self, sets: Iterable[tuple[Group, ...]]) -> list[Tried]:
         """Return the hypotheses of sets of groups, of each set of names the one that leaves least."""
-        found: dict[frozenset[str], Tried] = {}
+        best: dict[frozenset[str], Tried] = {}
         for groups in sets:
             names = frozenset(group.name for group in groups)
             if len({group.id for group in groups}) < len(groups) or self._alike(groups):
                 continue
             item = self.attempt(groups)
-            if names not in found or item.rms_n < found[names].rms_n:
-                found[names] = item
-        return list(found.values())
+            if names not in best or item.rms_n < best[names].rms_n:
+                best[names] = item
+        return list(best.values())
 
     def _alike(self, groups: Sequence[Group]) -> bool:
         """Return whether the data hardly separate single columns."""
         pairs = itertools.combinations([group.columns[0] for group in groups], 2)
-        return any(abs(self._correlation[i, j]) > (1.0 - TOGETHER**2) ** 0.5 for i, j in pairs)
+        return any(abs(self._correlation[i, j]) > 0.99**0.5 for i, j in pairs)
 
     def calibrate(self, tried: Sequence[Tried]) -> None:
         """State the noise: of the channels through the best balance, and the scatter of strokes."""
         best = min(tried, key=lambda item: item.rms_n)
+        # a residual of 1e-3 of the driving force is explained: no model of a body is better; Coulomb
+        # friction of a healthy one may vary by 5 % from stroke to stroke
         stated = self.record.body.mass_kg
         mass = best.value("mass_kg")[0] if "mass_kg" in self.body else (stated or 0.0)
         viscous = best.value(VISCOUS)[0] if VISCOUS in self.body else 0.0
         noise = self.record.balance_sd_n(mass, viscous)
-        noise = max(noise, LEAST_NOISE * float(np.sqrt(np.mean(self.target**2))), 1e-300)
+        noise = max(noise, 1e-3 * float(np.sqrt(np.mean(self.target**2))), 1e-300)
         correlated = max(1.0, 2.0 * np.pi**0.5 * self.record.width / self.record.stride)
         sizes = self._sizes
         for item in tried:
-            own = self.own(item.groups)
-            means = self._means[:, -1] - self._means[:, own] @ (item.values * self.scale[own])
+            picked = self.columns_of(item.groups)
+            means = self._means[:, -1] - self._means[:, picked] @ (item.values * self.scale[picked])
             spread = float(np.average(means**2 - noise**2 * correlated / sizes, weights=sizes))
             coulomb = item.value("coulomb_n")[0] if "coulomb_n" in self.body else 0.0
-            scatter = min(max(spread, 0.0) ** 0.5, STROKE_SCATTER * max(coulomb, 0.0))
+            scatter = min(max(spread, 0.0) ** 0.5, 0.05 * max(coulomb, 0.0))
             item.noise_n = noise
             item.expected_n = float(np.hypot(noise, scatter))
             item.count = item.samples / correlated

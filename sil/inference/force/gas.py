@@ -15,19 +15,13 @@ from sil.inference.force.fit import Bank, Tried
 
 SPRINGS = ("stiffness", "stiffness_cubic")
 EXPONENTS = np.linspace(1.0, 1.7, 8)
-LOG_LENGTHS = (-4.0, 3.0)
-WORSE = 1.1
-"""Gas explains a spring if it leaves at most this much of what the spring leaves, in squares ..."""
-CURVED = 9.0
-"""... and so much less than a straight spring, in log evidence."""
-ALIKE = 4.0
 
 
 def enclosed_gas(bank: Bank, leader: Tried) -> str:
     """Return why dead volume and exponent cannot be separated; empty if no gas acts, or they can."""
     if not set(leader.names) & set(SPRINGS):
         return ""
-    others = bank.own([group for group in leader.groups if group.name not in SPRINGS])
+    others = bank.columns_of([group for group in leader.groups if group.name not in SPRINGS])
     base = np.linalg.qr(bank.columns[:, others])[0]
     record = bank.record
     x = record.filtered(record.raw.position_m)[record.judged]
@@ -38,7 +32,7 @@ def enclosed_gas(bank: Bank, leader: Tried) -> str:
         rest = column - base @ (base.T @ column)
         return float(target @ target - (target @ rest) ** 2 / (rest @ rest))
 
-    found = []
+    fits = []
     for distance in ((x - low) / (high - low), (high - x) / (high - low)):
         table = []
         for n in EXPONENTS:
@@ -46,16 +40,17 @@ def enclosed_gas(bank: Bank, leader: Tried) -> str:
             def gas(log_length: float, n: float = n, d: Floats = distance) -> float:
                 return left((np.exp(log_length) + d) ** -n)
 
-            fit = minimize_scalar(gas, bounds=LOG_LENGTHS, method="bounded")
+            fit = minimize_scalar(gas, bounds=(-4.0, 3.0), method="bounded")
             table.append((float(fit.fun), float(np.exp(fit.x))))
-        found.append(np.array(table).T)
-    best, lengths = min(found, key=lambda item: float(item[0].min()))
+        fits.append(np.array(table).T)
+    best, lengths = min(fits, key=lambda item: float(item[0].min()))
     least, straight = float(best.min()), left(x)
     spring = float(np.sum((bank.target - bank.model_n(leader)) ** 2))
     noise = least / leader.count
-    if least > WORSE * spring or 0.5 * (straight - least) < CURVED * noise:
+    # in squares gas leaves about as little as the spring; in log evidence, clearly less than a straight one
+    if least > 1.1 * spring or 0.5 * (straight - least) < 9.0 * noise:
         return ""
-    alike = np.flatnonzero(0.5 * (best - least) <= ALIKE * noise)
+    alike = np.flatnonzero(0.5 * (best - least) <= 4.0 * noise)
     n, dead_m = EXPONENTS[alike], lengths[alike] * (high - low)
     if len(alike) < 3:
         return ""

@@ -18,44 +18,47 @@ from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 
-DRAWN = 4000
 
-
-def _models(found: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
+def _models(diagnosis: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
     """Return label, force without inertia [n] in N and colour of the measurement and of each model."""
-    leader, bank = found.leader, found.bank
+    leader, bank = diagnosis.leader, diagnosis.bank
     mass = leader.value("mass_kg")[0] if "mass_kg" in leader.body else 0.0
-    inertia = mass * found.record.raw.acceleration_m_s2[found.record.judged]
+    inertia = mass * diagnosis.record.raw.acceleration_m_s2[diagnosis.record.judged]
     rows = [
         ("measured, without inertia", bank.target - inertia, "measured"),
-        ("Coulomb, viscous, offset", bank.model_n(found.plain) - inertia, "before"),
+        ("Coulomb, viscous, offset", bank.model_n(diagnosis.plain) - inertia, "before"),
     ]
     if leader.groups:
         rows.append((f"with {leader.name}", bank.model_n(leader) - inertia, "after"))
     return rows
 
 
-def _speed_figure(found: ForceDiagnosis) -> Figure:
-    speeds = found.record.raw.speed_m_s[found.record.judged]
+def _speed_figure(diagnosis: ForceDiagnosis) -> Figure:
+    speeds = diagnosis.record.raw.speed_m_s[diagnosis.record.judged]
     order = np.argsort(speeds, kind="stable")
-    drawn = order[np.linspace(0, len(order) - 1, min(DRAWN, len(order))).astype(int)]
+    drawn = order[np.linspace(0, len(order) - 1, min(4000, len(order))).astype(int)]
     dots = [
-        Series(label, speeds[drawn], f[drawn], role, "dots") for label, f, role in _models(found)
+        Series(label, speeds[drawn], f[drawn], role, "dots")
+        for label, f, role in _models(diagnosis)
     ]
-    return Figure([Stack("speed, m/s", [Panel("Force", "N", dots, height=320)])])
+    return Figure([Stack("speed, m/s", [Panel("Force", diagnosis.unit, dots, height=320)])])
 
 
-def _time_figure(found: ForceDiagnosis) -> Figure:
-    record = found.record
+def _time_figure(diagnosis: ForceDiagnosis) -> Figure:
+    record = diagnosis.record
     rows = np.flatnonzero(record.judged)
     x = np.asarray(rows * record.step_s, dtype=np.float64)
     lines = [
         Series(label, x, force, role, dashed=role == "after")
-        for label, force, role in _models(found)
+        for label, force, role in _models(diagnosis)
     ]
-    panels = [Panel("Force, without inertia", "N", lines, height=220)]
+    panels = [Panel("Force, without inertia", diagnosis.unit, lines, height=220)]
     signals: list[tuple[str, str, Floats]] = [
-        ("Residual, of what is claimed", "N", found.bank.target - found.bank.model_n(found.leader)),
+        (
+            "Residual, of what is claimed",
+            diagnosis.unit,
+            diagnosis.bank.target - diagnosis.bank.model_n(diagnosis.leader),
+        ),
         ("Speed", "m/s", record.raw.speed_m_s[rows]),
         ("Position", "m", record.raw.position_m[rows]),
     ]
@@ -66,19 +69,19 @@ def _time_figure(found: ForceDiagnosis) -> Figure:
     return Figure([Stack("time, s", panels)])
 
 
-def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
+def write_page(diagnosis: ForceDiagnosis, folder: Path, campaign: str) -> None:
     """Write report.html and its figure."""
-    verdict = found.verdict
-    causes = [] if found.doubts else found.causes()
+    verdict = diagnosis.verdict
+    causes = [] if diagnosis.doubts else diagnosis.causes()
     head = Head(
         command="diagnose",
-        name=found.record.name,
+        name=diagnosis.record.name,
         verdict=verdict,
         good=verdict == "consistent",
         tiles=[
-            (f"{found.over_noise(found.plain):.3g}", "residual over noise, plain body"),
-            (f"{found.over_noise(found.leader):.3g}", "of what is claimed"),
-            (f"{found.error(found.leader):.2%}", "of the driving force"),
+            (f"{diagnosis.over_noise(diagnosis.plain):.3g}", "residual over noise, plain body"),
+            (f"{diagnosis.over_noise(diagnosis.leader):.3g}", "of what is claimed"),
+            (f"{diagnosis.error(diagnosis.leader):.2%}", "of the driving force"),
             *((f"{cause.probability:.2f}", f"probability of {cause.id}") for cause in causes[:3]),
         ],
         again=f"opc4 diagnose {campaign}",
@@ -86,16 +89,16 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
     page = render(
         "force.html",
         head,
-        plots(_time_figure(found), repeated=False),
-        found=found,
+        plots(_time_figure(diagnosis), repeated=False),
+        diagnosis=diagnosis,
         detectability=DETECTABILITY,
         causes=causes,
-        refused=found.refused(),
+        refused=diagnosis.refused(),
         picture=Picture(
-            save(_speed_figure(found), folder, "force"),
+            save(_speed_figure(diagnosis), folder, "force"),
             "Force against speed",
             "Driving force without inertia: measured, of the plain body, and with what is claimed.",
         ),
-        rows=[(item, gain_in_errors(item, found.plain)) for item in found.judged[:12]],
+        rows=[(item, gain_in_errors(item, diagnosis.plain)) for item in diagnosis.judged[:12]],
     )
     write_atomically(folder / "report.html", page)

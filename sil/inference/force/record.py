@@ -40,20 +40,10 @@ FOLDS = 24
 FEWEST_STROKES = 4
 """With fewer strokes, blocks of time are held out instead."""
 FEWEST_SAMPLES = 200
-SLOW_SHARE = 0.05
-"""Slower samples than this share of the highest speeds are left out."""
 RADIUS = 7.0
 """Reach of the filter in standard deviations: cut shorter, its derivatives are not those of one filter."""
 NARROWEST = 1.5
 """Least width of the filter, in samples: what is near half the sampling rate is left out."""
-NOISY = 0.02
-"""Most noise of speed and acceleration that the filter leaves, as a share of their rms."""
-LEAST_KEPT = 1.0 / 3.0
-"""Samples near rest and turns are left out if more than this share of those in motion is left."""
-MARGIN = 50.0
-"""A part between gaps that has fewer sampling steps is left out."""
-GAP_STEPS = 8.0
-"""A longer pause, in sampling steps, is a gap."""
 
 FORCES = ("force_n", "torque_n_m")
 ROTARY = {"N": "N m", "kg": "kg m^2", "N s/m": "N m s", "N/m": "N m", "N/Pa": "N m/Pa", "m": "rad"}
@@ -194,7 +184,7 @@ def read_motion(path: str | Path) -> Recorded:
         checked = signals[[0, 3, 2]]
         sds = noise_of(signals[1], record.time_s), noise_of(signals[0], record.time_s)
         for rows in _parts(record, findings):
-            if (record.time_s[rows[-1]] - record.time_s[rows[0]]) / step < MARGIN:
+            if (record.time_s[rows[-1]] - record.time_s[rows[0]]) / step < 50.0:
                 continue
             doubts += odd_channels(record.path.name, checked[:, rows], int(rows[0]))
             parts.append(_even(record.time_s[rows], signals[:, rows], step))
@@ -202,7 +192,7 @@ def read_motion(path: str | Path) -> Recorded:
     if not parts:
         raise InputError(
             f"{file}: at {1.0 / step:.4g} samples a second (by sample_rate_hz, or the slowest file) no part "
-            f"without a gap lasts {MARGIN:.0f} samples; expected longer strokes, or another sample_rate_hz"
+            f"without a gap lasts 50 samples; expected longer strokes, or another sample_rate_hz"
         )
     return _judged(rig, parts, step, noise, rotary, findings, doubts)
 
@@ -222,8 +212,8 @@ def _signals(record: Record, body: Body) -> Floats:
         raise InputError(
             f"{path}: no force_n, and no pressure_pa with piston_area_m2; expected a driving force"
         )
-    own = np.zeros(len(record)) if force is None else force
-    driving = own + sum(area * record[name] for name, area in areas.items() if area)
+    recorded = np.zeros(len(record)) if force is None else force
+    driving = recorded + sum(area * record[name] for name, area in areas.items() if area)
     if len(record) < FEWEST_SAMPLES:
         raise InputError(f"{path}: {len(record)} samples; expected at least {FEWEST_SAMPLES}")
     pressure = record["pressure_pa"] if "pressure_pa" in record else np.full(len(record), np.nan)
@@ -235,7 +225,7 @@ def _signals(record: Record, body: Body) -> Floats:
 def _parts(record: Record, findings: list[str]) -> list[NDArray[np.int64]]:
     """Return the rows of each part without gaps; gaps are added to the findings."""
     steps = np.diff(record.time_s)
-    gaps = np.flatnonzero(steps > GAP_STEPS * np.median(steps))
+    gaps = np.flatnonzero(steps > 8.0 * np.median(steps))
     if len(gaps):
         findings.append(
             f"{record.path.name}: time_s: {counted(len(gaps), 'gap')}, the first of {steps[gaps[0]]:.3g} s at "
@@ -270,6 +260,8 @@ def _judged(
 
     noise: of force and position in each part.
     """
+    from scipy.ndimage import binary_dilation
+
     lengths = [part.shape[1] for part in parts]
     _force_sd, position_sd = _joint_noise(noise, lengths)
     width = (
@@ -278,18 +270,20 @@ def _judged(
         else max(1.0, rig.body.smooth_s / step)
     )
     speeds = [smoothed(part[0], width, 1) / step for part in parts]
-    x, f, p, own = np.concatenate(parts, axis=1)
+    x, f, p, recorded_n = np.concatenate(parts, axis=1)
     v = np.concatenate(speeds)
     a = np.concatenate([smoothed(part[0], width, 2) / step**2 for part in parts])
     fast = float(np.quantile(np.abs(v), 0.99))
-    slow = SLOW_SHARE * fast if rig.body.slow_m_s is None else rig.body.slow_m_s
+    slow = 0.05 * fast if rig.body.slow_m_s is None else rig.body.slow_m_s
     moving = np.abs(v) > slow
     reach = int(np.ceil(RADIUS * width))
-    inner = np.concatenate([_inner(part.shape[1], reach) for part in parts])
-    judged = moving & inner
+    places = [(np.arange(part.shape[1]), part.shape[1]) for part in parts]
+    judged = moving & np.concatenate([(k >= reach) & (k < n - reach) for k, n in places])
     # where the filter mixes rest and motion, friction is not what the speed says
-    away = judged & ~_near(~moving | _turning(speeds), int(np.ceil(2.0 * width)))
-    if np.count_nonzero(away) > LEAST_KEPT * np.count_nonzero(judged):
+    away = judged & ~binary_dilation(
+        ~moving | _turning(speeds), iterations=int(np.ceil(2.0 * width))
+    )
+    if 3 * np.count_nonzero(away) > np.count_nonzero(judged):
         judged = away
     if np.count_nonzero(judged) < 0.5 * FEWEST_SAMPLES:
         raise InputError(
@@ -313,7 +307,7 @@ def _judged(
     return Recorded(
         rig.name,
         raw,
-        own,
+        recorded_n,
         np.flatnonzero(starts),
         judged,
         stroke,
@@ -337,29 +331,17 @@ def _joint_noise(
     return float(force_sd), float(position_sd)
 
 
-def _inner(count: int, reach: int) -> NDArray[np.bool_]:
-    rows = np.arange(count)
-    return (rows >= reach) & (rows < count - reach)
-
-
-def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Return which samples are within `reach` of a flagged one."""
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(flags, iterations=max(1, reach)))
-
-
 def _turning(speeds: Sequence[Floats]) -> NDArray[np.bool_]:
     """Return which samples a turn lies next to, from the speeds of parts [n] in m/s.
 
     A quick one passes all that is slow between two samples. Force and acceleration have steps and
     pulses there that single samples do not show.
     """
-    found = []
+    flags = []
     for v in speeds:
         turns = v[1:] * v[:-1] < 0.0
-        found.append(np.append(turns, False) | np.append(False, turns))
-    return np.concatenate(found)
+        flags.append(np.append(turns, False) | np.append(False, turns))
+    return np.concatenate(flags)
 
 
 def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -389,7 +371,7 @@ def _width(parts: list[Floats], position_sd: float) -> float:
                 level = np.sign(values[np.abs(values) > 0.1 * np.quantile(np.abs(values), 0.99)])
                 turns += int(np.count_nonzero(np.diff(level)))
         wider = 1.25 * width
-        enough = width >= 0.005 * count / turns and max(shares) <= NOISY
+        enough = width >= 0.005 * count / turns and max(shares) <= 0.02
         if enough or wider > max(NARROWEST, 0.05 * count / turns):
             return width
         width = wider

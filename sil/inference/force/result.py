@@ -14,12 +14,10 @@ import numpy as np
 from sil.inference.campaign.residuals import Gain
 from sil.inference.force.fit import BODY, POSITIVE, SURE, Bank, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
-from sil.inference.report import Cause, Interval, diagnosis_json
+from sil.inference.report import Cause, Interval, diagnosis_json, headline
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Conclusion, Verdict, by_cause, kind_of
 
-ROBUST = 0.9
-"""Most that a cause is given next to a residual; descriptions of the residual must leave it as it is."""
 DESCRIBED = 0.2
 """A function describes a residual if it removes this share of its squares."""
 
@@ -62,28 +60,33 @@ class ForceDiagnosis:
         return item.rms_n / (float(np.sqrt(np.mean(self.bank.target**2))) + 1e-300)
 
     @property
+    def unit(self) -> str:
+        """Unit of the driving force, or torque."""
+        return self.record.units.get("N", "N")
+
+    @property
     def verdict(self) -> str:
         """One of the verdicts of a diagnosis; a residual beyond the noise is never consistent."""
         verdict, doubts = self.verdict_, "; ".join(self.doubts)
         probabilities = {name: verdict.probabilities[name] for name in verdict.claimed}
         if self.leader.whole.beyond == 0.0:
             return kind_of(Conclusion(probabilities, doubts))
-        robust = dict.fromkeys(self.robust, ROBUST)
+        robust = dict.fromkeys(self.robust, LIMITS.max_robust_probability)
         unexplained = set(robust) != set(verdict.claimed) or not robust
         return kind_of(Conclusion(robust, doubts, unexplained, bool(verdict.rivals)))
 
     def body(self) -> dict[str, Interval]:
         """Return the body's parameters."""
-        found = {}
+        parameters = {}
         for name in self.leader.body:
             unit = self.record.units.get(BODY[name], BODY[name])
             item = Interval.normal(*self.leader.value(name), unit)
-            found[name] = replace(item, low=max(0.0, item.low)) if name in POSITIVE else item
-        return found
+            parameters[name] = replace(item, low=max(0.0, item.low)) if name in POSITIVE else item
+        return parameters
 
     def causes(self) -> list[Cause]:
         """Return the causes claimed and their rivals, and what no named cause explains."""
-        found = []
+        causes = []
         rest = self.leader.whole.beyond > 0.0
         shares = by_cause(self.judged)
         for name, stated in self.verdict_.probabilities.items():
@@ -94,15 +97,16 @@ class ForceDiagnosis:
                 item = next(other for other in self.judged if name in other.ids)
             probability = stated
             if rest and name != UNNAMED:
-                probability = min(
-                    shares[name], ROBUST if name in self.robust else LIMITS.max_doubted_probability
-                )
-            found.append(self._cause(name, item, probability))
+                most = LIMITS.max_doubted_probability
+                if name in self.robust:
+                    most = LIMITS.max_robust_probability
+                probability = min(shares[name], most)
+            causes.append(self._cause(name, item, probability))
         if rest and UNNAMED not in self.leader.ids:
-            found.append(self._unexplained())
+            causes.append(self._unexplained())
         # what the verdict says comes first
         last = UNNAMED if self.verdict in ("named", "ambiguous") else ""
-        return sorted(found, key=lambda cause: (cause.id == last, -cause.probability))
+        return sorted(causes, key=lambda cause: (cause.id == last, -cause.probability))
 
     def _cause(self, name: str, item: Tried, probability: float) -> Cause:
         group = item.groups[item.ids.index(name)]
@@ -155,15 +159,15 @@ class ForceDiagnosis:
             UNNAMED,
             cause_class,
             LIMITS.max_probability,
-            {"force_rms_n": Interval(value, low, high, self.record.units.get("N", "N"))},
-            f"{besides}a force of {value:.3g} N rms that no named cause explains: the held-out residual is "
-            f"{self.over_noise(item):.3g} times the noise of {item.noise_n:.3g} N "
+            {"force_rms_n": Interval(value, low, high, self.unit)},
+            f"{besides}a force of {value:.3g} {self.unit} rms that no named cause explains: the held-out residual is "
+            f"{self.over_noise(item):.3g} times the noise of {item.noise_n:.3g} {self.unit} "
             f"({self.error(item):.1%} of the driving force); {where}",
         )
 
     def refused(self) -> dict[str, str]:
         """Return why terms are not claimed, by name."""
-        found = dict(self.bank.missing)
+        reasons = dict(self.bank.missing)
         for item in self.singles:
             name = item.groups[0].name
             if set(item.ids) & set(self.verdict_.probabilities):
@@ -172,30 +176,37 @@ class ForceDiagnosis:
             text = f"removes {taken:.1%} of the held-out squares, {gain_in_errors(item, self.plain):.1f} standard errors"
             if not item.physical():
                 text = f"{item.values[len(item.body)]:.3g} has a sign that is not physical, or includes zero"
-            found[name] = f"not claimed: {text}"
-        return found
+            reasons[name] = f"not claimed: {text}"
+        return reasons
 
     def findings(self) -> list[str]:
         """Return why nothing can be concluded, what is odd, and why causes are not claimed."""
         refused = [f"{name}: {why}" for name, why in self.refused().items()]
-        return [*self.doubts, *self.record.findings, *refused]
+        left = (
+            f"the best hypothesis leaves {self.error(self.leader):.1%} of the driving force unexplained, "
+            f"{self.over_noise(self.leader):.3g} times the noise"
+        )
+        return [*self.doubts, *([left] if self.doubts else []), *self.record.findings, *refused]
 
     def as_json(self) -> dict[str, Any]:
         """Return the object that diagnosis.json holds."""
+        channel = "torque_n_m" if self.record.units else "force_n"
+        causes = [] if self.doubts else self.causes()
         gain = Gain(
             (f"every group of {self.record.held_out} in turn",),
-            {"force_n": (self.plain.rms_n, self.leader.rms_n)},
+            {channel: (self.plain.rms_n, self.leader.rms_n)},
             self.over_noise(self.plain),
             self.over_noise(self.leader),
         )
         return diagnosis_json(
             self.record.name,
             self.verdict,
-            [] if self.doubts else self.causes(),
+            causes,
             self.findings(),
             f"a cause gains at least 15 and 1.5 a group of strokes in log evidence on held-out strokes, "
             f"{SURE:g} standard errors over them, and has a physical sign; explained: a residual of at "
             f"most {LIMITS.max_residual_ratio:g} times the noise; measured by python -m tests.bench bodies",
+            headline=headline(self.verdict, causes, [], "; ".join(self.doubts)),
             rivals=[list(group) for group in self.verdict_.rivals],
             gain=gain.as_json(),
             body={name: item.as_json() for name, item in self.body().items()},

@@ -29,14 +29,10 @@ from sil.inference.force.gas import enclosed_gas
 from sil.inference.force.record import Recorded, read_motion
 from sil.inference.force.result import DESCRIBED, ForceDiagnosis
 from sil.inference.force.terms import difference
-from sil.inference.thresholds import UNNAMED
+from sil.inference.thresholds import LIMITS, UNNAMED
 
-LEAST_SHARE = 0.5
-"""Causes next to a residual explain at least this share of the plain body's misfit."""
 GIVING_BACK = ("position", "pressure_gain", "pressure times position")
 """Forces that do no work on the whole when a motion returns."""
-CONTAINED = 0.5
-"""A function contains a cause if less than this share of the cause differs from it."""
 
 
 def diagnose_force(path: str | Path) -> ForceDiagnosis:
@@ -50,8 +46,8 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
 def diagnose_motion(record: Recorded) -> ForceDiagnosis:
     """Diagnose a motion that was read."""
     choice, taken_off, delay = without_delay(record)
-    found = (*record.findings, *filter(None, [taken_off]))
-    record = replace(choice.bank.record, findings=found)
+    findings = (*record.findings, *filter(None, [taken_off]))
+    record = replace(choice.bank.record, findings=findings)
     bank, plain, leader = choice.bank, choice.tried[0], choice.leader
     singles = [item for item in choice.tried if len(item.groups) == 1]
     smooth = bank.add_smooth()
@@ -61,7 +57,7 @@ def diagnose_motion(record: Recorded) -> ForceDiagnosis:
     doubts = tuple(filter(None, (*doubts, enclosed_gas(bank, leader))))
     if leader.whole.beyond > 0.0:
         rest = _described(bank, leader, smooth)
-        if 1.0 - leader.whole.excess / plain.whole.excess >= LEAST_SHARE:
+        if leader.whole.excess <= LIMITS.max_unexplained_share * plain.whole.excess:
             named = [group for group in leader.groups if group.id != UNNAMED]
             robust = tuple(group.id for group in named if _is_robust(bank, leader, group))
     return ForceDiagnosis(
@@ -71,12 +67,12 @@ def diagnose_motion(record: Recorded) -> ForceDiagnosis:
 
 def _described(bank: Bank, leader: Tried, smooth: Sequence[Group]) -> tuple[str, str, float]:
     """Return what the leader's residual depends on, its class, and the share of its squares."""
-    found = []
+    descriptions = []
     for group in smooth:
         item = bank.attempt((*leader.groups, group))
         share = 1.0 - item.rms_n**2 / leader.rms_n**2
-        found.append((group.name, group.cause_class, share))
-    name, cause_class, share = max(found, key=lambda entry: entry[2])
+        descriptions.append((group.name, group.cause_class, share))
+    name, cause_class, share = max(descriptions, key=lambda entry: entry[2])
     return name, cause_class if share >= DESCRIBED else "mechanics", share
 
 
@@ -86,16 +82,16 @@ def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
     Descriptions that contain the cause are put in its place: one of another class must not leave less
     than those of its own class do.
     """
-    k = bank.own(leader.groups).index(group.columns[0])
+    k = bank.columns_of(leader.groups).index(group.columns[0])
     thin = slice(None, None, max(1, len(bank.target) // 5000))
-    own = bank.columns[thin, group.columns[0]]
+    cause_column = bank.columns[thin, group.columns[0]]
     others = tuple(item for item in leader.groups if item is not group)
     own_class, foreign = [leader], list[Tried]()
     for other in bank.groups:
         if other.name in {g.name for g in leader.groups}:
             continue
-        described = bank.columns[thin][:, bank.own([other])]
-        if difference(np.linalg.qr(described)[0], own) < CONTAINED:
+        described = bank.columns[thin][:, bank.columns_of([other])]
+        if difference(np.linalg.qr(described)[0], cause_column) < 0.5:
             alike = other.cause_class == group.cause_class
             (own_class if alike else foreign).append(bank.attempt((*others, other)))
             continue
@@ -110,24 +106,24 @@ def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
 # --- what forbids a conclusion ----------------------------------------------------------------
 def _doubts(bank: Bank, plain: Tried, delay: str) -> list[str]:
     """Return why nothing can be concluded from this record, none usually: a delay, and more."""
-    found = [delay] if delay else []
+    doubts = [delay] if delay else []
     # forces that a motion to and fro gives back must not be taken for friction
     giving_back = [g for g in bank.groups if g.name in GIVING_BACK]
     now, without = (_friction(bank, groups) for groups in ([], giving_back))
     if now and without and not delay:
-        found.append(now)
+        doubts.append(now)
     if "offset_n" not in bank.body:
-        found.append(f"offset_n: {bank.missing.pop('offset_n')}")
+        doubts.append(f"offset_n: {bank.missing.pop('offset_n')}")
     if "stiffness" in bank.missing and "mass_kg" in bank.body and plain.value("mass_kg")[0] == 0.0:
-        found.append(
+        doubts.append(
             "mass and stiffness move together: motion at another frequency would separate them"
         )
     rms = float(np.sqrt(np.mean(bank.target**2)))
     if rms < SURE * plain.noise_n or bank.is_constant():
-        found.append(
+        doubts.append(
             "the driving force is constant, or hardly exceeds its noise: larger or faster strokes would help"
         )
-    return found
+    return doubts
 
 
 def _friction(bank: Bank, groups: Sequence[Group]) -> str:

@@ -17,8 +17,6 @@ from plant.effects import CATALOGUE
 from plant.effects.force_term import Floats, ForceTerm, Motion
 from sil.inference.thresholds import UNNAMED
 
-NODES = 8
-
 
 @dataclass(frozen=True)
 class Term:
@@ -100,12 +98,12 @@ MORE = (
 
 def named_terms() -> dict[str, Term]:
     """Return the candidates by name: effects of the catalogue and physics beyond it."""
-    found = {
+    terms = {
         name: Term(name, item.cause_class, item.force)
         for name, item in CATALOGUE.items()
         if item.force is not None
     }
-    return found | {term.id: term for term in MORE if term.id != UNNAMED}
+    return terms | {term.id: term for term in MORE if term.id != UNNAMED}
 
 
 FLEXIBLE = "fourth derivative of position"
@@ -139,8 +137,8 @@ CONDITIONS: dict[str, Over] = {
 
 
 def hats(values: Floats, factor: Floats | None = None) -> Floats:
-    """Return hat functions over the quantiles of values [n], times a factor [n]: [n, NODES]."""
-    nodes = np.unique(np.quantile(values, np.linspace(0.005, 0.995, NODES)))
+    """Return hat functions over the quantiles of values [n], times a factor [n]: [n, 8]."""
+    nodes = np.unique(np.quantile(values, np.linspace(0.005, 0.995, 8)))
     table = np.column_stack([np.interp(values, nodes, row) for row in np.eye(len(nodes))])
     return table if factor is None else table * factor[:, None]
 

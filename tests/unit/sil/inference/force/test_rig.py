@@ -73,6 +73,8 @@ def test_a_reversed_sign_is_no_diagnosis(tmp_path, capsys, column) -> None:
     plain = json.loads(capsys.readouterr().out)
     assert plain["verdict"] == "cannot_tell" and not plain["causes"]
     assert "sign of the driving force" in plain["findings"][0]
+    assert "sign of the driving force" in plain["headline"]
+    assert "of the driving force unexplained" in plain["findings"][1]
 
 
 def test_a_combination_of_parameters_is_surer_than_its_parts(tmp_path) -> None:
@@ -371,8 +373,11 @@ def test_a_rotary_axis_has_its_units(tmp_path) -> None:
         tmp_path / "a",
         head=HEAD.replace("position_m", "angle_rad").replace("force_n", "torque_n_m"),
     )
-    body = diagnose_force(folder).as_json()["body"]
+    diagnosis = diagnose_force(folder)
+    plain, body = diagnosis.as_json(), diagnosis.as_json()["body"]
     assert body["mass_kg"]["unit"] == "kg m^2" and body["coulomb_n"]["unit"] == "N m"
+    assert diagnosis.unit == "N m" and list(plain["gain"]["channels"]) == ["torque_n_m"]
+    assert plain["headline"] == "Nothing found."
 
 
 @pytest.mark.parametrize(
