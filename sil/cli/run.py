@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.junit}: --junit: no permission; expected a folder to write in"
         )
     from sil.files.atomic import write_atomically
-    from sil.files.output_folder import prepare_folder
+    from sil.files.output_folder import close_folders, prepare_folder
     from sil.simulation import load_scenario
     from sil.simulation.free_run import jitter_lines
     from sil.simulation.results import as_json, junit_xml
@@ -111,6 +111,8 @@ def run(arguments: argparse.Namespace) -> int:
         write_report(finished, folder)
     if arguments.junit is not None:
         write_atomically(arguments.junit, junit_xml(finished.result))
+    if finished.result.complete:
+        close_folders(None)  # the mark INCOMPLETE goes before the files are listed
     if free_running:
         for line in jitter_lines(finished.result.bus):
             say(line)

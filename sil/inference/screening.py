@@ -218,7 +218,9 @@ class Screening:
             if (k % 2 or not too_small < by < enough) and 0.0 < too_small < enough < inf:
                 by = sqrt(too_small * enough)
         else:  # of two values that stay apart, the one that would be noticed
-            return main.neutral + copysign(enough, first) if enough < inf else None
+            if not 0.0 < too_small < enough < inf:  # what is noticed is not a matter of this size
+                return None
+            return main.neutral + copysign(enough, first)
         return value
 
 

@@ -69,8 +69,13 @@ class Diagnosis:
     @property
     def headline(self) -> str:
         """The one sentence that a reader needs first."""
-        usual = ("piston_leak", "valve_open_delay", "dynamic_friction")
-        sizes = [str(item) for item in self.detectable if item.candidate.id in usual]
+        least: dict[str, Detectable] = {}
+        for item in self.detectable:
+            cause_class = item.candidate.cause_class
+            if cause_class not in least or item.typical_sizes > least[cause_class].typical_sizes:
+                least[cause_class] = item  # of each class the one that hides best
+        common = ("leak", "valve timing", "friction")
+        sizes = [str(least[name]) for name in common if name in least]
         return headline(self.verdict.kind, self.causes, sizes, self.unable)
 
     def as_json(self) -> dict[str, Any]:
