@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from controller.filters import SectionFilter, butterworth
-from controller.light_model import LightModel, ModelSettings, Motion, Valve
+from controller.light_model import LightModel, LightModelState, ModelSettings, Valve
 from controller.settings import ControlConfig, Settings, bounded
 
 STEP_S = 0.0005
@@ -43,7 +43,7 @@ class Observer:
     def reset(self) -> None:
         """Start in neutral, at rest, both chambers vented, valves closed."""
         settings = self.model.settings
-        self.motion = Motion(settings.atmosphere_pa, settings.atmosphere_pa)
+        self.motion = LightModelState(settings.atmosphere_pa, settings.atmosphere_pa)
         self.driving = Valve(settings.valve_open_s, settings.valve_close_s)
         self.braking = Valve(settings.valve_open_s, settings.valve_close_s)
         self.steps = 0  # of the model, since the push began

@@ -48,7 +48,7 @@ class ModelSettings(Settings, frozen=True):
 
 
 @dataclass(slots=True)
-class Motion:
+class LightModelState:
     """State of the light model: piston from its stop, stay from neutral, pressures, load on it."""
 
     driving_pa: float
@@ -128,7 +128,7 @@ class LightModel:
         share = (ratio - critical) / (1.0 - critical) if ratio > critical else 0.0
         return size * upstream_pa * sqrt(1.0 - share * share)
 
-    def step(self, motion: Motion, driving: bool, braking: bool, step_s: float) -> None:
+    def step(self, motion: LightModelState, driving: bool, braking: bool, step_s: float) -> None:
         """Advance a state by one step with the valves as given.
 
         The piston pushes the stay and cannot pull it: what brakes the piston lets the stay coast.

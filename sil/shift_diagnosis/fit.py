@@ -29,7 +29,7 @@ from sil.shift_diagnosis.linear import (
     unit_names,
 )
 from sil.shift_diagnosis.model import DIFFERENCE, Cause, PlantModel, Point
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 
 DAMPINGS: Final = (0.0, 0.003, 0.03, 0.3, 3.0)
 """Dampings of a step that are tried, as shares of the information's diagonal."""
@@ -121,7 +121,9 @@ def fits_of(
 class Fitter:
     """Fits hypotheses to the same shifts of one truck."""
 
-    def __init__(self, model: PlantModel, shifts: Sequence[Shift], noise: Noise = NOISE) -> None:
+    def __init__(
+        self, model: PlantModel, shifts: Sequence[RecordedShift], noise: Noise = NOISE
+    ) -> None:
         self.model, self.shifts, self.noise = model, list(shifts), noise
         self.names = unit_names(model)
         self._latest: deque[tuple[object, Noise, Fit]] = deque(maxlen=LATEST)

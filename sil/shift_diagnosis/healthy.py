@@ -19,7 +19,7 @@ from sil.shift_diagnosis.linear import (
 from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, without_speeds
 from sil.shift_diagnosis.model import LEAST_NOISE_M, PlantModel
 from sil.shift_diagnosis.odd import own_impulses
-from sil.shift_diagnosis.shifts import LEAD_S, Shift
+from sil.shift_diagnosis.shifts import LEAD_S, RecordedShift
 from sil.shift_diagnosis.verdict import (
     EXPLAINED,
 )
@@ -31,7 +31,7 @@ SCANS: Final = 2
 
 
 def healthy_fit(
-    models: Sequence[PlantModel], shifts: Sequence[Shift], noise: Noise
+    models: Sequence[PlantModel], shifts: Sequence[RecordedShift], noise: Noise
 ) -> tuple[Fitter, Fit]:
     """Fit a healthy truck and the scatter of its shifts; of models, the one that fits better."""
     starts = []
@@ -48,15 +48,15 @@ def is_explained(fit: Fit) -> bool:
 
 
 def loaded_fit(
-    models: Sequence[PlantModel], used: Sequence[Shift], noise: Noise
-) -> tuple[Fitter, Fit, list[Shift]]:
+    models: Sequence[PlantModel], used: Sequence[RecordedShift], noise: Noise
+) -> tuple[Fitter, Fit, list[RecordedShift]]:
     """Fit a healthy truck; return it with the shifts, which have loads of their own where needed.
 
     That is without speeds in the log, or where a truck with equal loads does not explain its shifts
     and loads that differ explain them better; and of few odd shifts the impulse, if that suffices.
     """
     silent = without_speeds(used)
-    found: list[tuple[Fitter, Fit, list[Shift]]] = []
+    found: list[tuple[Fitter, Fit, list[RecordedShift]]] = []
     if not silent:
         found = [(*healthy_fit(models, spread(used, FIT_SHIFTS), noise), list(used))]
         fitter, healthy, own = found[0]
@@ -86,7 +86,7 @@ def loaded_fit(
     return best
 
 
-def rest_noise_m(shifts: Sequence[Shift]) -> float:
+def rest_noise_m(shifts: Sequence[RecordedShift]) -> float:
     """Return the standard deviation of a position before the first motion, at least the timer's [m]."""
     rests = [s.position_m[s.time_s < LEAD_S] for s in shifts]
     own = [(r - np.mean(r)) ** 2 * len(r) / (len(r) - 1) for r in rests if len(r) > 1]
@@ -96,7 +96,7 @@ def rest_noise_m(shifts: Sequence[Shift]) -> float:
     return float(max(LEAST_NOISE_M, np.sqrt(np.mean(squares))))
 
 
-def spread(shifts: Sequence[Shift], most: int) -> list[Shift]:
+def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:
     """Return at most so many shifts, evenly spread, of those between two gears their share.
 
     Into gear and out of it come in turn: every second shift would be of one kind.

@@ -51,7 +51,7 @@ from sil.shift_diagnosis.search import (
     second_attempt,
     with_rivals,
 )
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 from sil.shift_diagnosis.verdict import (
     DOUBTED,
     Judged,
@@ -73,7 +73,7 @@ VARIES_PA: Final = 2e4
 
 
 def judge_shifts(
-    shifts: Sequence[Shift],
+    shifts: Sequence[RecordedShift],
     parameters: ParameterSet,
     progress: Progress | None = None,
     workers: int = 1,
@@ -148,7 +148,7 @@ def judge_shifts(
     )  # fmt: skip
 
 
-def offered(shifts: Sequence[Shift]) -> list[Cause]:
+def offered(shifts: Sequence[RecordedShift]) -> list[Cause]:
     """Return the catalogue's causes, those by the supply pressure only if that is known to vary."""
     supplies = [s.supply_pa for s in shifts if not np.isnan(s.supply_pa)]
     varies = len(supplies) > 1 and float(np.std(supplies)) > VARIES_PA

@@ -25,7 +25,7 @@ from sil.shift_diagnosis.model import (
     PlantModel,
     Point,
 )
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 
 Floats = NDArray[np.float64]
 
@@ -103,12 +103,12 @@ class Linear:
         weights = [0.0 * w if out else w for w, out in zip(self.weights, sticks, strict=True)]
         return self if all(sticks) else replace(self, slopes=tuple(slopes), weights=tuple(weights))
 
-    def moved(self, values: Floats, shifts: Sequence[Shift], position_m: Floats) -> Linear:
+    def moved(self, values: Floats, shifts: Sequence[RecordedShift], position_m: Floats) -> Linear:
         """Return the same at another point [p] with its positions [n, pulses, m], slopes as here."""
         return replace(self, values=values, residuals=residuals_of(shifts, position_m))
 
 
-def residuals_of(shifts: Sequence[Shift], position_m: Floats) -> tuple[Floats, ...]:
+def residuals_of(shifts: Sequence[RecordedShift], position_m: Floats) -> tuple[Floats, ...]:
     """Return recorded minus simulated positions [n, pulses, m] of each shift, 0 without a simulation."""
     pairs = zip(shifts, position_m, strict=True)
     return tuple(np.nan_to_num(s.position_m - x[: len(s.time_s)]) for s, x in pairs)
@@ -131,7 +131,7 @@ class Noise:
     def covariance(
         self,
         model: PlantModel,
-        shift: Shift,
+        shift: RecordedShift,
         speed_m_s: Floats,
         slopes: Mapping[str, Floats],
         apart_m: Floats,
@@ -193,7 +193,7 @@ def unit_names(model: PlantModel) -> tuple[str, ...]:
 
 def linearise(
     model: PlantModel,
-    shifts: Sequence[Shift],
+    shifts: Sequence[RecordedShift],
     values: Floats,
     causes: Sequence[Cause] = (),
     active: Mapping[Cause, float] | None = None,

@@ -17,7 +17,7 @@ import numpy as np
 
 from sil.shift_diagnosis.linear import Floats, point_of, unit_names
 from sil.shift_diagnosis.model import IMPULSE_PER_SPEED, PlantModel, Point
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 
 BARRIERS: Final = ("mesh", "pull")
 CONE: Final = ("cone_B", "cone_F")
@@ -38,7 +38,7 @@ TOLERANCE_M, TOLERANCE_S = 1e-4, 5e-4
 """What a pulse may be off in a scan, by position and by time."""
 
 
-def with_speeds(shifts: Sequence[Shift], skipped: Counter[str]) -> list[Shift]:
+def with_speeds(shifts: Sequence[RecordedShift], skipped: Counter[str]) -> list[RecordedShift]:
     """Return the shifts less those few that lack speeds, which `skipped` counts.
 
     Where half or more of those into gear lack them, all stay, as shifts of a log without speeds.
@@ -51,14 +51,14 @@ def with_speeds(shifts: Sequence[Shift], skipped: Counter[str]) -> list[Shift]:
     return [shift for shift in shifts if not np.isnan(shift.difference_rad_s)]
 
 
-def without_speeds(shifts: Sequence[Shift]) -> bool:
+def without_speeds(shifts: Sequence[RecordedShift]) -> bool:
     """Return whether speeds are missing for some of the shifts."""
     return any(np.isnan(shift.difference_rad_s) for shift in shifts)
 
 
 def own_loads(
-    model: PlantModel, shifts: Sequence[Shift], values: Floats, free: Sequence[str]
-) -> list[Shift]:
+    model: PlantModel, shifts: Sequence[RecordedShift], values: Floats, free: Sequence[str]
+) -> list[RecordedShift]:
     """Return the shifts with the loads, of those that are free, that suit each best.
 
     values: of the truck's quantities [units], in prior standard deviations.
@@ -69,7 +69,9 @@ def own_loads(
     return [_scanned(model, shift, point, free) for shift in shifts]
 
 
-def _scanned(model: PlantModel, shift: Shift, point: Point, free: Sequence[str]) -> Shift:
+def _scanned(
+    model: PlantModel, shift: RecordedShift, point: Point, free: Sequence[str]
+) -> RecordedShift:
     """Return a shift with its best loads: impulse and barrier are scanned in turn, ever closer."""
     into_gear = shift.end in "BF"
     impulse = 0.5 * LARGEST_N_S
@@ -93,7 +95,9 @@ def _scanned(model: PlantModel, shift: Shift, point: Point, free: Sequence[str])
     return best
 
 
-def _nearest(model: PlantModel, shift: Shift, variants: Sequence[Shift], point: Point) -> Shift:
+def _nearest(
+    model: PlantModel, shift: RecordedShift, variants: Sequence[RecordedShift], point: Point
+) -> RecordedShift:
     """Return that of variants of `shift` whose motion comes nearest; itself if none can be simulated."""
     x, v, done = model.predict(variants, [point])
     if not done.any():
@@ -104,7 +108,7 @@ def _nearest(model: PlantModel, shift: Shift, variants: Sequence[Shift], point: 
     return variants[int(np.argmin(np.where(done[:, 0], misfit, np.inf)))]
 
 
-def vary(shifts: Sequence[Shift], before: Sequence[Shift]) -> bool:
+def vary(shifts: Sequence[RecordedShift], before: Sequence[RecordedShift]) -> bool:
     """Return whether loads found differ between shifts beyond what all of them have in common.
 
     before: the same shifts with the speeds as recorded.

@@ -26,7 +26,7 @@ from plant.kernel.layout import LENGTH, LengthState, Modes, Parameters
 from plant.kernel.packing import fresh_modes, initial_state
 from plant.parameters import ParameterSet
 from sil.inference.candidate import scaled_of, value_of
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 
 Floats = NDArray[np.float64]
 
@@ -221,7 +221,7 @@ class PlantModel:
         return setup
 
     def predict(
-        self, shifts: Sequence[Shift], points: Sequence[Point]
+        self, shifts: Sequence[RecordedShift], points: Sequence[Point]
     ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Simulate every shift at every point.
 
@@ -245,7 +245,7 @@ class PlantModel:
         return found[0], found[1], done
 
     def _strokes(
-        self, shifts: Sequence[Shift], groups: Sequence[Sequence[Point]]
+        self, shifts: Sequence[RecordedShift], groups: Sequence[Sequence[Point]]
     ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Simulate every shift once for each group of points of the same motion, all of one length.
 
@@ -325,7 +325,7 @@ def _modes(setup: Setup) -> NDArray[np.int64]:
     return found
 
 
-def _moves(shift: Shift, setup: Setup) -> Floats:
+def _moves(shift: RecordedShift, setup: Setup) -> Floats:
     """Return the moves of a shift's valves [k, 4] as rows of `plant.batch.batch.Strokes`."""
     rows = switch_schedule(shift.commands, setup.timing, 3)
     return np.array([(at / _NS, chamber, u, 0.0) for at, chamber, u in rows]).reshape(-1, 4)

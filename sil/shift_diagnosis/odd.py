@@ -21,7 +21,7 @@ from sil.shift_diagnosis.fit import UNABLE, Fit, Fitter
 from sil.shift_diagnosis.linear import LOAD_SHARE, Floats, Linear, linearise, point_of
 from sil.shift_diagnosis.loads import BARRIERS, CONE
 from sil.shift_diagnosis.model import JITTER_S, LEAST_NOISE_M, Point
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 
 ODD, MOST_ODD = 3.0, 0.15
 """Chi squared per number, of the shifts' median, from which a shift is odd; and how many may be."""
@@ -40,7 +40,9 @@ def _limit(linear: Linear) -> tuple[Floats, float]:
     return each, ODD * max(1.0, float(np.median(each)))
 
 
-def own_impulses(fitter: Fitter, healthy: Fit, shifts: Sequence[Shift]) -> list[Shift]:
+def own_impulses(
+    fitter: Fitter, healthy: Fit, shifts: Sequence[RecordedShift]
+) -> list[RecordedShift]:
     """Return the shifts, those odd ones into gear with the impulse of their own that explains them.
 
     Where another one, within its scatter, does; all as they were, where more are odd, or by more,
@@ -127,7 +129,7 @@ def is_scatter(fitter: Fitter, best: Fit, k: int, limit: float) -> bool:
 
 
 def with_odd(
-    verdict: str, findings: Sequence[str], shifts: Sequence[Shift], odd: Sequence[int]
+    verdict: str, findings: Sequence[str], shifts: Sequence[RecordedShift], odd: Sequence[int]
 ) -> tuple[str, list[str]]:
     """Return verdict and findings of shifts some of which are odd: they are not consistent."""
     names = ", ".join(f"{shifts[k].begin_s:.2f} s of {Path(shifts[k].source).name}" for k in odd)

@@ -29,7 +29,7 @@ from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.shift_diagnosis.judge import judge_shifts
 from sil.shift_diagnosis.model import Cause
-from sil.shift_diagnosis.shifts import LEAD_S, Shift, shifts_of
+from sil.shift_diagnosis.shifts import LEAD_S, RecordedShift, shifts_of
 from sil.shift_diagnosis.verdict import EXPLAINED, Judged, ShiftDiagnosis
 
 FALSE_ALARM_BASIS: Final = (
@@ -253,7 +253,7 @@ def diagnosed(
     """
     parameters = load_actuator(model)
     mapping = SignalMapping(*layout) if any(layout) else None
-    shifts: dict[tuple[object, ...], Shift] = {}
+    shifts: dict[tuple[object, ...], RecordedShift] = {}
     broken: list[str] = []
     read = set[str]()
     for path in logs:

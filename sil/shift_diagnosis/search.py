@@ -27,7 +27,7 @@ from sil.shift_diagnosis.linear import (
     projected,
 )
 from sil.shift_diagnosis.model import Cause
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 from sil.shift_diagnosis.starts import starts_around
 from sil.shift_diagnosis.verdict import (
     ALARM,
@@ -69,7 +69,9 @@ Run = Callable[[Callable[[Cause | None, Floats], Fit], Items], list[Fit]]
 """Fits of causes from their starts, on some processes."""
 
 
-def linear_at(fitter: Fitter, shifts: Sequence[Shift], at: Fit, causes: Sequence[Cause]) -> Linear:
+def linear_at(
+    fitter: Fitter, shifts: Sequence[RecordedShift], at: Fit, causes: Sequence[Cause]
+) -> Linear:
     """Return shifts linearised around a hypothesis' truck, with the causes' sizes at 0.
 
     Steps are small: with large ones, what is not linear looks like something that only the cause does.

@@ -56,7 +56,7 @@ _NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class Shift:
+class RecordedShift:
     """One shift as recorded; times in s from LEAD_S before its first command.
 
     start, end: gears, N, B or F. commands: (time, chamber 0 to 2, duty). time_s, position_m: [n], the
@@ -113,7 +113,7 @@ class ShiftReader:
         self.frames: Counter[type] = Counter()
         self._no_blow = Protector(SafetyBlow)
 
-    def take(self, arrival: Arrival) -> Shift | None:
+    def take(self, arrival: Arrival) -> RecordedShift | None:
         """Take a frame; return the shift that it completes."""
         time_ns, kind, frame = arrival
         if kind in COMMANDS:
@@ -138,11 +138,11 @@ class ShiftReader:
             self.frames[kind] += 1
         return self._closed(self._cutter.pass_time(time_ns))
 
-    def finish(self) -> Shift | None:
+    def finish(self) -> RecordedShift | None:
         """Return the shift that the end of the log completes."""
         return self._closed(self._cutter.finish(self._pulses[-1][0])) if self._pulses else None
 
-    def _command(self, at_ns: int, duties: Duties) -> Shift | None:
+    def _command(self, at_ns: int, duties: Duties) -> RecordedShift | None:
         """Take new duties; return the shift that a command out of its gear ends."""
         before, self._duties = self._duties, duties
         energised = max(duties) >= self._duty_open
@@ -173,7 +173,7 @@ class ShiftReader:
         if isinstance(message, Air1) and message.supply_gauge_pa is not None:
             self._supply_pa = message.supply_gauge_pa + self._atmosphere_pa
 
-    def _closed(self, begin_ns: int | None) -> Shift | None:
+    def _closed(self, begin_ns: int | None) -> RecordedShift | None:
         """Return the shift that is over, if one is and it can be used."""
         if self._cutter.begin_ns is not None and begin_ns is None:
             return None
@@ -186,7 +186,7 @@ class ShiftReader:
             return None
         return shift
 
-    def _shift(self, episode: _Episode) -> Shift | str:
+    def _shift(self, episode: _Episode) -> RecordedShift | str:
         """Return the shift of an episode, or why there is none."""
         origin_ns = episode.begin_ns - round(LEAD_S * _NS)
         readings = [
@@ -225,7 +225,7 @@ class ShiftReader:
         difference = 0.0
         if gears[1] != "N":
             difference = self._difference(episode, origin_ns, measured_s[used], position[used])
-        return Shift(
+        return RecordedShift(
             self._source,
             episode.begin_ns / _NS,
             gears[0],
@@ -267,7 +267,7 @@ def shifts_of(
     mapping: SignalMapping | None,
     skipped: Counter[str],
     faults: list[str] | None = None,
-) -> Iterator[Shift]:
+) -> Iterator[RecordedShift]:
     """Yield the shifts of one log, in bounded memory; `skipped` counts the others by their reason.
 
     mapping: what another layout's signals stand for. faults: takes in one line what is not whole in the log.

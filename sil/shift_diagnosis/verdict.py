@@ -25,7 +25,7 @@ from sil.shift_diagnosis.linear import (
     projected,
 )
 from sil.shift_diagnosis.model import Cause
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 
 HEALTHY_PRIOR: Final = 0.5
 EFFECTIVE: Final = 4.0
@@ -118,7 +118,7 @@ class ShiftDiagnosis:
     """All that was found of the shifts of one truck."""
 
     verdict: str
-    shifts: tuple[Shift, ...]
+    shifts: tuple[RecordedShift, ...]
     judged: tuple[Judged, ...]
     probabilities: dict[str, float]
     detectable: tuple[Detectable, ...]

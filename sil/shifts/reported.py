@@ -199,7 +199,7 @@ class FlagTracker:
 
 
 @dataclass(slots=True)
-class Run:
+class GearRun:
     """Samples in a row with the same gears: current (SPN 523) and selected (SPN 524)."""
 
     current: int | None
@@ -223,7 +223,7 @@ class GearHistory:
     """The gears that one sender reports, as runs; memory grows with the changes, not with the log."""
 
     chatter: int = 0
-    runs: list[Run] = field(default_factory=list)
+    runs: list[GearRun] = field(default_factory=list)
     silences: Silences = field(default_factory=Silences)
     _last_ns: int = 0
 
@@ -240,7 +240,7 @@ class GearHistory:
             last.last_ns = time_ns
             last.samples += 1
         elif len(self.runs) < 1_000_000:
-            self.runs.append(Run(current, selected, time_ns, time_ns))
+            self.runs.append(GearRun(current, selected, time_ns, time_ns))
         return last is not None and not same
 
     def gear_before(self, time_ns: int) -> int | None:
@@ -296,10 +296,10 @@ class GearHistory:
             index += step
         return changes
 
-    def _stays(self) -> list[Run]:
+    def _stays(self) -> list[GearRun]:
         """Return the runs by the current gear alone, without invalid ones and without chatter."""
         self.chatter = 0
-        stays: list[Run] = []
+        stays: list[GearRun] = []
         for run in self.runs:
             if run.current is None:
                 continue
@@ -307,7 +307,7 @@ class GearHistory:
                 stays[-1].last_ns = run.last_ns
                 stays[-1].samples += run.samples
                 continue
-            stays.append(Run(run.current, None, run.first_ns, run.last_ns, run.samples))
+            stays.append(GearRun(run.current, None, run.first_ns, run.last_ns, run.samples))
             if len(stays) < 3:
                 continue
             before, odd, after = stays[-3:]

@@ -9,7 +9,7 @@ import pytest
 from controller.config import FirmwareConfig
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.filters import SectionFilter, butterworth
-from controller.light_model import LightModel, ModelSettings, Motion, Valve
+from controller.light_model import LightModel, LightModelState, ModelSettings, Valve
 from controller.settings import FilterConfig
 
 STROKE_M = 0.01285
@@ -36,7 +36,7 @@ def test_a_choked_chamber_empties_exponentially() -> None:
     """P' = -(alpha R C / V) P while the outflow is choked and nothing moves."""
     settings = ModelSettings(piston_friction_n=2000.0, stay_friction_n=2000.0)
     model = LightModel(settings, STROKE_M)
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.driving_pa = 8e5
     outflow = settings.venting_alpha_flow * settings.flow_out
     rate_per_s = 287.0 * outflow / settings.driving_m3
@@ -61,7 +61,7 @@ def test_a_shut_in_gas_follows_its_polytrope(driving: bool, braking: bool) -> No
         venting_alpha_volume=1.9,
     )
     model = LightModel(settings, STROKE_M)
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.piston_m, motion.stay_m = GAP_M - 0.002, 0.004
     motion.piston_m_s, motion.stay_m_s = 0.5, 1.0
     motion.driving_pa, motion.braking_pa = 3e5, 2e5
@@ -86,7 +86,7 @@ def test_a_shut_in_gas_follows_its_polytrope(driving: bool, braking: bool) -> No
 
 def test_a_closed_loop_of_pressures_ends_at_supply_and_atmosphere() -> None:
     model = LightModel(ModelSettings(), STROKE_M)
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     for _ in range(4000):
         model.step(motion, True, False, STEP_S)
     assert motion.stay_m == STROKE_M
@@ -99,7 +99,7 @@ def test_a_closed_loop_of_pressures_ends_at_supply_and_atmosphere() -> None:
 def test_the_piston_gives_its_momentum_to_the_stay() -> None:
     """v' = v m_p / (m_p + m_s) where they meet, but for one step's forces."""
     model = LightModel(ModelSettings(), STROKE_M)
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.piston_m, motion.piston_m_s = 0.013 - 1e-6, 1.0
     model.step(motion, False, False, 1e-5)
     assert motion.stay_m > 0.0
@@ -114,7 +114,7 @@ def test_piston_and_stay_in_contact_are_one_mass(speed_m_s: float, load_n: float
     From rest as well, where the stay's own area cannot move it: by 0.3 N with the load of 135 N.
     """
     nominal = ModelSettings()
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.stay_m, motion.piston_m = 0.004, GAP_M + 0.004
     motion.stay_m_s = motion.piston_m_s = speed_m_s
     motion.driving_pa, motion.braking_pa, motion.load_n = 6e5, 1.5e5, load_n
@@ -135,7 +135,7 @@ def test_piston_and_stay_in_contact_are_one_mass(speed_m_s: float, load_n: float
 
 
 def test_what_is_thrown_back_stops_at_its_stops() -> None:
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.piston_m = motion.stay_m = 1e-6
     motion.piston_m_s = motion.stay_m_s = -0.5
     LightModel(ModelSettings(), STROKE_M).step(motion, False, False, 1e-4)
@@ -146,7 +146,7 @@ def test_what_is_thrown_back_stops_at_its_stops() -> None:
 def test_a_piston_that_does_not_reach_the_stay_yet_moves_alone() -> None:
     """m_p u' = A_p (P_d - P_n) - friction - damping u."""
     nominal = ModelSettings()
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.piston_m, motion.piston_m_s = GAP_M - 2e-4, 0.3
     force_n = nominal.piston_friction_n + nominal.piston_damping_n_s_m * 0.3
     LightModel(nominal, STROKE_M).step(motion, False, False, STEP_S)
@@ -160,7 +160,7 @@ def test_a_braked_piston_lets_the_stay_coast() -> None:
     """m_s v' = A_s (P_d - P_atm) - friction: the neutral chamber's pressure is not in it."""
     settings = ModelSettings(stay_damping_n_s_m=0.0)
     model = LightModel(settings, STROKE_M)
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.stay_m, motion.piston_m = 0.001, 0.014
     motion.stay_m_s = motion.piston_m_s = 0.5
     motion.braking_pa = 5e5
@@ -172,7 +172,7 @@ def test_a_braked_piston_lets_the_stay_coast() -> None:
 
 def test_a_load_holds_the_stay_and_never_drives_it() -> None:
     model = LightModel(ModelSettings(), STROKE_M)
-    motion = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.piston_m, motion.stay_m = 0.015, 0.002
     motion.load_n, motion.driving_pa = 2200.0, 5e5
     for _ in range(100):
@@ -183,7 +183,7 @@ def test_a_load_holds_the_stay_and_never_drives_it() -> None:
 def test_an_open_loop_stroke_takes_as_long_as_the_laboratory_s() -> None:
     """About 41 ms from the command and some 0.9 m/s at the stop, 9 bar (within a tenth)."""
     model = LightModel(ModelSettings(), STROKE_M)
-    motion, valve = Motion(ATMOSPHERE_PA, ATMOSPHERE_PA), Valve(0.008, 0.035)
+    motion, valve = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA), Valve(0.008, 0.035)
     valve.command(0.0, True)
     steps, before_m_s = 0, 0.0
     while motion.stay_m < STROKE_M:
@@ -243,7 +243,7 @@ def test_observer_is_the_model_seen_through_delay_and_filter() -> None:
     """Against model, valves and filter run by hand; what they say corrects nothing."""
     config, settings = FirmwareConfig(), ModelSettings()
     observer = Observer(config, settings, ObserverSettings())
-    model, motion = LightModel(settings, STROKE_M), Motion(ATMOSPHERE_PA, ATMOSPHERE_PA)
+    model, motion = LightModel(settings, STROKE_M), LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     driving, braking = (Valve(settings.valve_open_s, settings.valve_close_s) for _ in range(2))
     late = SectionFilter(butterworth(6, 22.0, 100.0))
     late.settle(0.0)
@@ -255,7 +255,7 @@ def test_observer_is_the_model_seen_through_delay_and_filter() -> None:
             positions_m.append(motion.stay_m)
         measured_m = late.update(positions_m[-1 - round(0.00455 / STEP_S)])
         observer.advance(tick * 0.01, measured_m, 1)
-        for name in Motion.__slots__:
+        for name in LightModelState.__slots__:
             seen, true = getattr(observer.motion, name), getattr(motion, name)
             assert seen == pytest.approx(true, rel=1e-9, abs=1e-9), (tick, name)
         charge, brake = tick < 8, 4 <= tick < 6
@@ -266,7 +266,7 @@ def test_observer_is_the_model_seen_through_delay_and_filter() -> None:
     assert max(positions_m) > 0.5 * STROKE_M and motion.braking_pa > 1.2 * ATMOSPHERE_PA
 
 
-def corrected(piston_m: float, stay_m: float, error_m: float) -> Motion:
+def corrected(piston_m: float, stay_m: float, error_m: float) -> LightModelState:
     """Motion after a correction; both move at 0.3 m/s, the load is 100 N, nothing was expected."""
     config = FirmwareConfig(filter=FilterConfig(enabled=False))
     observer = Observer(config, ModelSettings(), ObserverSettings())

@@ -17,7 +17,7 @@ from sil.shift_diagnosis.model import (
 from sil.shift_diagnosis.search import (
     final_fit,
 )
-from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.shifts import RecordedShift, shifts_of
 from sil.shift_diagnosis.verdict import Judged
 
 
@@ -25,7 +25,7 @@ def only(name: str) -> Cause:
     return next(cause for cause in catalogue() if cause.effect.id == name)
 
 
-def cut(path: Path) -> list[Shift]:
+def cut(path: Path) -> list[RecordedShift]:
     return list(shifts_of(str(path), load("nominal"), None, Counter()))
 
 

@@ -15,7 +15,7 @@ from sil.files.progress import Progress
 from sil.shift_diagnosis import page
 from sil.shift_diagnosis.linear import NOISE
 from sil.shift_diagnosis.model import catalogue
-from sil.shift_diagnosis.shifts import Shift
+from sil.shift_diagnosis.shifts import RecordedShift
 from sil.shift_diagnosis.verdict import Judged, ShiftDiagnosis
 
 
@@ -116,7 +116,7 @@ def test_a_log_that_is_given_twice_is_refused(
 @pytest.mark.parametrize("is_best", [True, False])
 def test_a_healthy_truck_is_drawn_once(is_best: bool) -> None:
     time_s = np.array([0.0, 0.01, 0.02])
-    shift = Shift("a.log", 0.0, "N", "B", (), time_s, time_s, 0.0, 0.0)
+    shift = RecordedShift("a.log", 0.0, "N", "B", (), time_s, time_s, 0.0, 0.0)
     linear = SimpleNamespace(misfit=np.array([1.0]), residuals=[np.zeros(3)])
     healthy, late = (
         SimpleNamespace(name=name, fit=SimpleNamespace(linear=linear))

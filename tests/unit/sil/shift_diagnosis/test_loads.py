@@ -13,15 +13,17 @@ import pytest
 from plant.parameters import load
 from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, with_speeds
 from sil.shift_diagnosis.model import PlantModel, Point
-from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.shifts import RecordedShift, shifts_of
 
 
 @pytest.fixture(scope="module")
-def shifts(nominal_log: Path) -> list[Shift]:
+def shifts(nominal_log: Path) -> list[RecordedShift]:
     return list(shifts_of(str(nominal_log), load("nominal"), None, Counter()))
 
 
-def loaded(model: PlantModel, shift: Shift, speed_rad_s: float, load_n: float) -> Shift:
+def loaded(
+    model: PlantModel, shift: RecordedShift, speed_rad_s: float, load_n: float
+) -> RecordedShift:
     """Return a shift with these loads, its positions those of the model."""
     longer = np.append(shift.time_s, shift.time_s[-1] + 0.01 * np.arange(1, 11))
     own = replace(shift, difference_rad_s=speed_rad_s, load_n=load_n, time_s=longer)
@@ -30,7 +32,7 @@ def loaded(model: PlantModel, shift: Shift, speed_rad_s: float, load_n: float) -
     return replace(own, position_m=x[0, 0])
 
 
-def test_loads_are_found(shifts: list[Shift]) -> None:
+def test_loads_are_found(shifts: list[RecordedShift]) -> None:
     model = PlantModel(load("nominal"), True)
     into = next(s for s in shifts if s.end in "BF")
     out = next(s for s in shifts if s.end == "N")
@@ -48,7 +50,7 @@ def test_loads_are_found(shifts: list[Shift]) -> None:
     assert vary(found, true)
 
 
-def test_what_is_not_free_stays(shifts: list[Shift]) -> None:
+def test_what_is_not_free_stays(shifts: list[RecordedShift]) -> None:
     model = PlantModel(load("nominal"), True)
     found = own_loads(model, shifts, np.zeros(17), CONE)
     assert all(s.load_n == 0.0 for s in found)
@@ -57,11 +59,11 @@ def test_what_is_not_free_stays(shifts: list[Shift]) -> None:
     assert not vary(own_loads(model, shifts, np.zeros(17), BARRIERS + CONE), shifts)
 
 
-def test_a_shift_that_cannot_be_simulated_stays_as_it_is(shifts: list[Shift]) -> None:
+def test_a_shift_that_cannot_be_simulated_stays_as_it_is(shifts: list[RecordedShift]) -> None:
     model = PlantModel(load("nominal"), True)
     into = next(s for s in shifts if s.end in "BF")
 
-    def unable(variants: list[Shift], _points: list[Point]) -> tuple[np.ndarray, ...]:
+    def unable(variants: list[RecordedShift], _points: list[Point]) -> tuple[np.ndarray, ...]:
         nothing = np.full((len(variants), 1, len(into.time_s)), np.nan)
         return nothing, nothing, np.zeros((len(variants), 1), dtype=bool)
 
@@ -71,7 +73,7 @@ def test_a_shift_that_cannot_be_simulated_stays_as_it_is(shifts: list[Shift]) ->
 
 @pytest.mark.parametrize(("lacking", "left_out"), [(0, 0), (1, 1), (4, 4), (5, 0), (10, 0)])
 def test_few_shifts_without_speeds_are_left_out(
-    shifts: list[Shift], lacking: int, left_out: int
+    shifts: list[RecordedShift], lacking: int, left_out: int
 ) -> None:
     into = next(s for s in shifts if s.end in "BF")
     out = next(s for s in shifts if s.end == "N")

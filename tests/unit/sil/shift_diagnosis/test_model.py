@@ -22,17 +22,17 @@ from sil.shift_diagnosis.linear import (
     projected,
 )
 from sil.shift_diagnosis.model import PlantModel, Point, catalogue
-from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.shifts import RecordedShift, shifts_of
 
 TICK_M = 1e-6 / 0.022
 
 
 @pytest.fixture(scope="module")
-def shifts(nominal_log: Path) -> list[Shift]:
+def shifts(nominal_log: Path) -> list[RecordedShift]:
     return list(shifts_of(str(nominal_log), load("nominal"), None, Counter()))
 
 
-def test_the_nominal_truck_gives_the_recorded_pulses(shifts: list[Shift]) -> None:
+def test_the_nominal_truck_gives_the_recorded_pulses(shifts: list[RecordedShift]) -> None:
     model = PlantModel(load("nominal"), mounted=True)
     x, v, done = model.predict(shifts, [Point(), Point({"rise": 0.002})])
     assert done.all()
@@ -44,7 +44,7 @@ def test_the_nominal_truck_gives_the_recorded_pulses(shifts: list[Shift]) -> Non
         assert np.max(np.abs(shift.position_m - x[k, 1, :n])) > 20 * TICK_M
 
 
-def test_a_linear_model_is_a_sum_over_shifts(shifts: list[Shift]) -> None:
+def test_a_linear_model_is_a_sum_over_shifts(shifts: list[RecordedShift]) -> None:
     model = PlantModel(load("nominal"), mounted=True)
     causes = [c for c in catalogue() if c.effect.id in ("valve_open_delay", "sensor_delay")]
     values = np.zeros(17)
@@ -61,7 +61,7 @@ def test_a_linear_model_is_a_sum_over_shifts(shifts: list[Shift]) -> None:
     assert covariance[-1, -1] == pytest.approx(1.0 / precision, rel=1e-6)
 
 
-def test_a_cause_is_hidden_by_what_trucks_differ_in(shifts: list[Shift]) -> None:
+def test_a_cause_is_hidden_by_what_trucks_differ_in(shifts: list[RecordedShift]) -> None:
     model = PlantModel(load("nominal"), mounted=True)
     causes = [c for c in catalogue() if c.effect.id in ("valve_open_delay", "dynamic_friction")]
     linear = linearise(model, shifts, np.zeros(17), causes, noise=Noise(scatter=0.25))
@@ -87,7 +87,7 @@ def test_a_cause_is_hidden_by_what_trucks_differ_in(shifts: list[Shift]) -> None
 
 @pytest.mark.parametrize("name", ["sensor_gain", "sensor_delay", "valve_open_delay"])
 def test_what_a_hidden_cause_costs_and_its_deviation_are_those_of_drawn_trucks(
-    name: str, shifts: list[Shift]
+    name: str, shifts: list[RecordedShift]
 ) -> None:
     model = PlantModel(load("nominal"), mounted=True)
     causes = [cause for cause in catalogue() if cause.effect.id == name]
@@ -109,19 +109,19 @@ def test_what_a_hidden_cause_costs_and_its_deviation_are_those_of_drawn_trucks(
     assert np.std(gains) == pytest.approx(deviation[0, 1], rel=0.35)
 
 
-def test_an_unknown_speed_is_not_simulated(shifts: list[Shift]) -> None:
+def test_an_unknown_speed_is_not_simulated(shifts: list[RecordedShift]) -> None:
     model = PlantModel(load("nominal"), mounted=True)
     with pytest.raises(ValueError, match="speed difference"):
         model.predict([replace(shifts[0], difference_rad_s=float("nan"))], [Point()])
 
 
 def test_kinks_that_cannot_be_simulated_add_nothing(
-    shifts: list[Shift], monkeypatch: pytest.MonkeyPatch
+    shifts: list[RecordedShift], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = PlantModel(load("nominal"), mounted=True)
     predict, asked = model.predict, []
 
-    def broken(own: list[Shift], points: list[Point]) -> tuple[np.ndarray, ...]:
+    def broken(own: list[RecordedShift], points: list[Point]) -> tuple[np.ndarray, ...]:
         x, v, done = predict(own, points)
         asked.append(len(points))
         x[:, -2 * len(TRIED_S) :], done[:, -2 * len(TRIED_S) :] = np.nan, False
@@ -150,7 +150,7 @@ def test_a_kink_adds_the_way_that_the_speed_does_not_say() -> None:
     assert later[1] == pytest.approx(4.0 * found[1])
 
 
-def test_points_of_one_motion_are_read_from_one_stroke(shifts: list[Shift]) -> None:
+def test_points_of_one_motion_are_read_from_one_stroke(shifts: list[RecordedShift]) -> None:
     """Pulses that come later see the same motion: the same as by strokes of their own."""
     model = PlantModel(load("nominal"), mounted=True)
     later = [Point({"latency": by}) for by in (0.0, 1e-3, -2e-3)]

@@ -18,7 +18,7 @@ from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames
 from sil.logs import open_log, open_writer
-from sil.shift_diagnosis.shifts import NO_BLOWS, Shift, ShiftReader, shifts_of
+from sil.shift_diagnosis.shifts import NO_BLOWS, RecordedShift, ShiftReader, shifts_of
 
 MAP = """
 [[signal]]
@@ -38,7 +38,7 @@ ROWS = {
 }
 
 
-def cut(path: Path, mapping: SignalMapping | None = None) -> list[Shift]:
+def cut(path: Path, mapping: SignalMapping | None = None) -> list[RecordedShift]:
     return list(shifts_of(str(path), load("nominal"), mapping, Counter()))
 
 

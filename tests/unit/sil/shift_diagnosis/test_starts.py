@@ -11,12 +11,12 @@ import pytest
 from plant.parameters import load
 from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
-from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.shifts import RecordedShift, shifts_of
 from sil.shift_diagnosis.starts import starts_around
 from tests.support.truck_logs import truck_log
 
 
-def shifts_with(path: Path, cause: dict[str, float]) -> list[Shift]:
+def shifts_with(path: Path, cause: dict[str, float]) -> list[RecordedShift]:
     truck_log(path, 2, 5, cause, nominal=True)
     return list(shifts_of(str(path), load("nominal"), None, Counter()))
 
@@ -26,13 +26,13 @@ def only(name: str) -> Cause:
 
 
 @pytest.fixture(scope="module")
-def weak(tmp_path_factory: pytest.TempPathFactory) -> list[Shift]:
+def weak(tmp_path_factory: pytest.TempPathFactory) -> list[RecordedShift]:
     """Shifts of a nominal truck whose supply is 30 % low."""
     path = tmp_path_factory.mktemp("truck") / "weak.log"
     return shifts_with(path, {"effect.supply_low.deficit": 0.3})
 
 
-def test_a_large_cause_begins_near_its_size(weak: list[Shift]) -> None:
+def test_a_large_cause_begins_near_its_size(weak: list[RecordedShift]) -> None:
     fitter = Fitter(PlantModel(load("nominal"), True), weak)
     supply, play = only("supply_low"), only("free_play")
     found = starts_around(fitter, [supply, play], 1e-3)
