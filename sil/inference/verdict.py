@@ -117,7 +117,7 @@ def judge(
     workers: int = 1,
     evaluated: HeldOutFits | None = None,
 ) -> list[Judged]:
-    """HeldOutFits-out evaluation of fits, best score first.
+    """Held-out evaluation of fits, best score first.
 
     known: earlier evaluations, which are not repeated; new ones are added.
     """

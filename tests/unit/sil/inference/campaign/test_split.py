@@ -1,4 +1,4 @@
-"""HeldOutFits-out strokes: whole ones, every kind on both sides."""
+"""Held-out strokes: whole ones, every kind on both sides."""
 
 from __future__ import annotations
 
