@@ -172,7 +172,8 @@ class FreeRun:
         later = [replace(each, at_s=each.at_s + SETTLING_S) for each in scenario.request]
         loaded = dataclasses.replace(self._loaded, scenario=replace(scenario, request=later))
         participant = build.make_participant(name, loaded, self._folder)
-        bus = open_bus(self._channel, receives=tuple(build.received()[name]))
+        received = build.received().get(name, frozenset({0}))  # a sender only: none would mean all
+        bus = open_bus(self._channel, receives=received)
         self._closing.callback(bus.shutdown)
         node = FreeNode(participant, bus, catches_up=False)
         self._nodes.append(self._threads.submit(node.run, self._stop))

@@ -107,7 +107,7 @@ def test_importing_it_costs_nothing_heavy() -> None:
 def test_no_module_of_the_package_hides_a_function() -> None:
     """A submodule, once imported, becomes an attribute of its package."""
     modules = {module.name for module in pkgutil.iter_modules(sil.__path__)}
-    assert {"api", "studies", "replay", "simulation"} <= modules
+    assert {"api", "studies", "log_replay", "simulation"} <= modules
     assert not modules & set(sil.__all__)
     for name in sil.__all__:
         assert getattr(sil, name) is getattr(api, name)
