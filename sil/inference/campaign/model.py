@@ -218,12 +218,7 @@ class CampaignModel(Problem):
         reuse: Block | None = None,
         frozen: Collection[int] = (),
     ) -> Block:
-        """Return stroke k linearised at shared [shared] and its own scatter.
-
-        own_only: by the hypothesis' own parameters alone, the other derivatives are zero; reuse: a
-        block whose derivatives by tolerances and scatter are taken over; frozen: indices of shared
-        parameters by which the derivatives are not needed: zero.
-        """
+        """Return stroke k linearised, as `Problem.linearise` says."""
         layout = self.layout(candidates)
         healthy, tolerances = layout.healthy, len(self.unit)
         scaled = shared[healthy:]
