@@ -21,6 +21,7 @@ from selenium.webdriver.support.select import Select
 
 from sil.api import run
 from sil.cli import main
+from sil.files.overrides import parse_setting
 from tests.browser.live_page import INK_OF_SHOWN, WAIT_S, Live, Page
 from tests.browser.test_pages import PHONE, UNMARKED
 from tests.conftest import ROOT
@@ -83,7 +84,8 @@ def test_a_slider_a_reload_and_a_second_tab(browser: Any, live: Live) -> None:
     command = page.one("copy-command").get_attribute("data-text")
     assert "--set valve.D_fall=0.0069" in command
     words = shlex.split(command)
-    assert run(words[2], [w for w in words[3:] if w != "--set"]).trace_sha256 == first
+    settings = dict(parse_setting(w) for w in words[3:] if w != "--set")
+    assert run(words[2], settings).trace_sha256 == first
     cells = [c.text for c in browser.find_elements(By.CSS_SELECTOR, "#metrics td")]
     assert cells[0] == "request to stop" and cells[1].endswith("ms") and len(cells) == 18
     browser.refresh()
