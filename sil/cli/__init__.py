@@ -83,6 +83,14 @@ def _interrupt(number: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt(number)
 
 
+def _unraisable(what: Any) -> None:
+    """End the command if an interrupt came in a callback of the interpreter, where it would be lost."""
+    if isinstance(what.exc_value, KeyboardInterrupt):
+        os.write(2, b"opc4: interrupted\n")
+        os._exit(_interrupted_code(what.exc_value))  # what it has begun is marked INCOMPLETE
+    sys.__unraisablehook__(what)
+
+
 class _Output(io.FileIO):
     """Standard output, whose errors name it."""
 
@@ -101,6 +109,7 @@ def command() -> NoReturn:
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the matrices are small: threads only wait for each other
     _handle_signals(_interrupt)
+    sys.unraisablehook = _unraisable
     os.register_at_fork(after_in_child=lambda: _handle_signals(signal.SIG_DFL))
     for descriptor in (0, 1, 2):  # else a file of ours could become standard output
         try:

@@ -176,7 +176,9 @@ def test_interrupted_at_any_moment(name: str, made: Path, tmp_path: Path) -> Non
         process.send_signal(signal.SIGINT)
         _, output = process.communicate(timeout=120.0)
         lines = [line for line in output.splitlines() if "compiling" not in line]
-        assert process.returncode in (0, 1, 130), output
+        # -SIGINT: Python ends itself by the signal if it came in code run from a string, as of a
+        # dataclass; for a shell that is 130, too
+        assert process.returncode in (0, 1, 130, -signal.SIGINT), output
         assert "Traceback" not in output, output
         assert len(lines) <= 2, output
         if process.returncode == 130:
