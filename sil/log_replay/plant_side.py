@@ -229,7 +229,7 @@ class PlantSide:
             if release_ns > sent_ns:
                 break
             likeness = 2 if ours == data else 0
-            if kind in PROTECTED and ours[1] & 0x0F == data[1] & 0x0F:
+            if kind in PROTECTED and len(data) > 1 and ours[1] & 0x0F == data[1] & 0x0F:
                 likeness = max(likeness, 1)
             if likeness >= best:
                 best, chosen = likeness, index

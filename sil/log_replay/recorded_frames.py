@@ -128,7 +128,7 @@ def is_intact(kind: type, frame: Frame) -> bool:
 
 def bare(kind: type, data: bytes) -> bytes:
     """Return the data without counter and checksum, which differ where nothing else does."""
-    if kind not in PROTECTED:
+    if kind not in PROTECTED or len(data) < 2:
         return data
     return bytes((0, data[1] & 0xF0)) + data[2:]
 

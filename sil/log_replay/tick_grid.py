@@ -21,6 +21,7 @@ from itertools import pairwise
 from statistics import median
 from typing import Final, NamedTuple
 
+from can_dbc.codec import spec_of
 from can_dbc.e2e import COUNTERS
 from can_dbc.messages import (
     ControllerStatus,
@@ -148,7 +149,10 @@ def survey(
         if period_ns is not None:
             half = period_ns // 2
             release_ns += min((b - first_ns + half) % period_ns - half for _, b in bounds)
-    reports = [a.frame for a in arrivals if a.kind is ControllerStatus]
+    length = spec_of(ControllerStatus).length
+    reports = [
+        a.frame for a in arrivals if a.kind is ControllerStatus and len(a.frame.data) == length
+    ]
     gears = (Gear(f.data[2] & 3) for f in reports if is_intact(ControllerStatus, f))
     return Survey(
         first_ns=arrivals[0].time_ns if arrivals else 0,

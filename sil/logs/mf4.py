@@ -39,6 +39,10 @@ def import_asammdf(path: str) -> Any:
     """Return the module asammdf. Raises InputError that names the extra if it is missing."""
     asammdf = import_extra("asammdf", "mdf", f"{path}: MF4")
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
+    from asammdf.blocks.mdf_v4 import MDF4
+
+    if "__del__" in vars(MDF4):  # it fails for a file that could not be opened; ours are closed
+        del MDF4.__del__
     return asammdf
 
 
