@@ -218,7 +218,7 @@ class CampaignModel(Problem):
         reuse: Block | None = None,
         frozen: Collection[int] = (),
     ) -> Block:
-        """Return stroke k linearised, as `Problem.linearise` says."""
+        """Return stroke k linearised at shared [shared] and its own scatter, as the base class."""
         layout = self.layout(candidates)
         healthy, tolerances = layout.healthy, len(self.unit)
         scaled = shared[healthy:]
