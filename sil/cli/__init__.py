@@ -20,6 +20,8 @@ PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 _STDOUT = "standard output"
 _ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
+_interrupts: list[int] = []  # signals that arrived: a library may make an error of its own of one
+
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
     "simulate": "simulate the plant alone, under the conditions of a measurement campaign",
@@ -80,6 +82,7 @@ def _handle_signals(handler: Any) -> None:
 
 
 def _interrupt(number: int, _frame: object) -> NoReturn:
+    _interrupts.append(number)
     raise KeyboardInterrupt(number)
 
 
@@ -87,7 +90,7 @@ def _unraisable(what: Any) -> None:
     """End the command if an interrupt came in a callback of the interpreter, where it would be lost."""
     if isinstance(what.exc_value, KeyboardInterrupt):
         os.write(2, b"opc4: interrupted\n")
-        os._exit(_interrupted_code(what.exc_value))  # what it has begun is marked INCOMPLETE
+        os._exit(_interrupted_code())  # what it has begun is marked INCOMPLETE
     sys.__unraisablehook__(what)
 
 
@@ -145,17 +148,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         return _main(list(sys.argv[1:] if argv is None else argv))
-    except KeyboardInterrupt as interrupt:  # while a command was being loaded
-        print("opc4: interrupted", file=sys.stderr)
-        return _interrupted_code(interrupt)
-    except OSError as error:  # of standard output: all others are reported by _guarded
-        return _unwritable(error)
+    except (KeyboardInterrupt, Exception) as error:  # while a command was being loaded
+        if _interrupts or isinstance(error, KeyboardInterrupt):
+            print("opc4: interrupted", file=sys.stderr)
+            return _interrupted_code()
+        if isinstance(error, OSError):  # of standard output: all others are reported by _guarded
+            return _unwritable(error)
+        raise
 
 
-def _interrupted_code(interrupt: KeyboardInterrupt) -> int:
+def _interrupted_code() -> int:
     """Return 128 and the number of the signal, as shells do."""
-    number: int = interrupt.args[0] if interrupt.args else signal.SIGINT
-    return 128 + number
+    return 128 + (_interrupts[0] if _interrupts else signal.SIGINT)
 
 
 def _unwritable(error: OSError) -> int:
@@ -245,8 +249,8 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         message, code = str(error), BAD_INPUT
     except RunError as error:
         message, code = str(error), NOT_FINISHED
-    except KeyboardInterrupt as interrupt:
-        message, code = "interrupted", _interrupted_code(interrupt)
+    except KeyboardInterrupt:
+        message, code = "interrupted", _interrupted_code()
     except MemoryError:
         message, code = "not enough memory", NOT_FINISHED
     except OSError as error:  # a full disk, for example
@@ -260,6 +264,11 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
             message, code = f"{message}; expected a path with permission", BAD_INPUT
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
+    except Exception:
+        if not _interrupts:
+            raise
+    if _interrupts:
+        message, code = "interrupted", _interrupted_code()
     message = _shortened(message)
     print(f"opc4 {name}: {message}", file=sys.stderr)
     _settle(name, f"opc4 {name}: {message}")
