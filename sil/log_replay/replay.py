@@ -28,7 +28,7 @@ from sil.log_replay.signals import Options
 from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
-from sil.nodes.own_firmware import OwnController
+from sil.firmware.python_file import OwnController
 
 ESTIMATE = "ControllerStatus.estimate_m"
 FORGOTTEN_M = 1e-6

@@ -176,7 +176,7 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
         return DriverNode(initial, schedule, to_ns(driver.period_s), to_ns(driver.phase_s))
     if name == "controller":
         if scenario.firmware:
-            from sil.nodes.own_firmware import OwnController
+            from sil.firmware.python_file import OwnController
 
             return OwnController(scenario.firmware, scenario.controller)
         return ControllerNode(scenario.controller)
@@ -277,7 +277,7 @@ def open_channels(
     remote_names = [*REMOTE, GUEST] if loaded.scenario.bus.guest else REMOTE
     timeouts = TIMEOUTS
     if loaded.scenario.firmware:
-        from sil.nodes.own_firmware import STEP_S
+        from sil.firmware.python_file import STEP_S
 
         timeouts = dataclasses.replace(TIMEOUTS, answer_s=STEP_S + TIMEOUTS.answer_s)
     channel, local_name = channel_of(transport)

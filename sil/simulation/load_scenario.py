@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files.overrides import Settings, leaf_paths, set_value
-from sil.nodes.own_firmware import absolute
+from sil.firmware.python_file import absolute
 from sil.simulation.scenario import Scenario, check_consistent
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from sil.log_replay.checkout import checkout
 from sil.log_replay.executor import Unit
 from sil.log_replay.recorded_frames import OWN_IDS
 from sil.log_replay.replay import ReplayRequest, replay
-from sil.nodes.own_firmware import OwnController
+from sil.firmware.python_file import OwnController
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load
 from tests.conftest import ROOT

@@ -10,7 +10,7 @@ import pytest
 
 from can_dbc.errors import RunError
 from sil.cli import main
-from sil.nodes import own_firmware
+from sil.firmware import python_file
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load
 
@@ -114,7 +114,7 @@ def broken(folder: Path, program: str) -> Path:
 def test_what_fails_in_a_step_ends_the_run_with_file_line_and_time(
     statement: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(own_firmware, "STEP_S", 0.5)
+    monkeypatch.setattr(python_file, "STEP_S", 0.5)
     loaded = load(str(broken(tmp_path, STEP.format(statement))))
     with pytest.raises(RunError, match=rf"failed: .*{reason}.* \(at 0.140000 s simulated\)"):
         run_in_memory(loaded)
@@ -132,7 +132,7 @@ def test_an_init_that_does_not_return_ends_the_run(
     statement: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_in_memory(load(str(broken(tmp_path, OURS))))  # now a process is there
-    monkeypatch.setattr(own_firmware, "LOAD_S", 2.0)
+    monkeypatch.setattr(python_file, "LOAD_S", 2.0)
     loaded = load(str(broken(tmp_path, INIT.format(statement))))
     with pytest.raises(RunError, match=rf"failed: .*{reason}.* \(at 0.000000 s simulated\)"):
         run_in_memory(loaded)
@@ -166,11 +166,11 @@ def test_a_process_serves_one_run_after_the_other(tmp_path: Path) -> None:
     loaded = load(
         str(broken(tmp_path, "import sys\nsys.runs = getattr(sys, 'runs', 0) + 1\n" + OURS))
     )
-    first = own_firmware.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
-    second = own_firmware.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    first = python_file.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    second = python_file.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
     servers = {id(first._server), id(second._server)}
     first.close()
-    third = own_firmware.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    third = python_file.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
     assert len(servers) == 2 and id(third._server) in servers
     assert third.advance(0, [])[0] == second.advance(0, [])[0]
     second.close()

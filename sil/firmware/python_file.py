@@ -5,7 +5,7 @@ as `controller.firmware.Firmware` has; frames, end-to-end protection and timing 
 controller node, which runs in that process too. Whatever the file does (an exception, `sys.exit`,
 `os._exit`, an endless loop, a crash) ends the run and not the program that runs it; what it prints
 goes to standard error. Wall time ends a run that hangs; it decides nothing else.
-Checked by: tests/unit/sil/nodes/test_own_firmware.py
+Checked by: tests/unit/sil/firmware/test_python_file.py
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LOAD_S, STEP_S = 60.0, 5.0
 """Wall time in s that loading the file with `__init__`, and one step, may take."""
 
 _STACK_S = 1.0
-_SERVER = Path(__file__).with_name("own_firmware_process.py")
+_SERVER = Path(__file__).with_name("python_process.py")
 
 
 class OwnController:
