@@ -144,10 +144,10 @@ def simulate(
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.campaign.simulate import simulate_campaign
-    from sil.files.overrides import check_numbers
+    from sil.files.overrides import model_settings
 
-    check_numbers(settings)
-    parameters = overridden(load(str(model)), settings)
+    parameters = load(str(model))
+    parameters = overridden(parameters, model_settings(settings, parameters))
     return list(simulate_campaign(load_campaign(campaign), parameters))
 
 

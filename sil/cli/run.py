@@ -11,6 +11,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sil.cli.draft import NEW, write_draft
 from sil.cli.options import EFFECTS, JSON, MODEL, SEED, SETTINGS, argument, out, say
 from sil.files.quantity import counted
 
@@ -30,6 +31,7 @@ SHIFTS_PRINTED = 12
 ARGUMENTS = (
     argument("scenario", "file or shipped name", "SCENARIO", nargs="?"),
     argument("--list", "list the shipped scenarios"),
+    NEW,
     argument(
         "--transport",
         "one process; processes on a local bus; processes on a CAN interface [inproc]",
@@ -67,6 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.list:
         return _list()
+    if arguments.new is not None:
+        return write_draft("run", arguments, f"opc4 run {arguments.new}")
     if arguments.scenario is None:
         raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
     if arguments.junit is not None and not arguments.junit.parent.is_dir():

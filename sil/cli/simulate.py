@@ -41,13 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
         write_campaign,
     )
     from sil.files.output_folder import finite, prepare_folder
-    from sil.files.overrides import check_numbers
+    from sil.files.overrides import model_settings
     from sil.files.progress import Progress
 
     campaign = load_campaign(arguments.campaign)
     stamps = [load_effects(file) for file in arguments.effects]
-    check_numbers(arguments.settings)
-    parameters = overridden(load(arguments.model), arguments.settings)
+    parameters = load(arguments.model)
+    parameters = overridden(parameters, model_settings(arguments.settings, parameters))
     if arguments.out is not None and arguments.out.resolve() == campaign.folder.resolve():
         what = "is the campaign that is simulated; expected another folder"
         raise InputError(f"{arguments.out}: --out: {what}")

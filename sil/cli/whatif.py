@@ -11,6 +11,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sil.cli.draft import NEW, write_draft
 from sil.cli.options import EFFECTS, JSON, argument, out
 from sil.files.quantity import counted
 
@@ -21,6 +22,7 @@ EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
 ARGUMENTS = (
     argument("study", "study file, or a shipped study", "STUDY", nargs="?"),
     argument("--list", "list the shipped studies"),
+    NEW,
     argument("--workers", "processes (default 1)", "N", type=int, default=1),
     argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
     argument("--resume", "continue the sweep in DIR"),
@@ -42,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.studies.load_study import load_study, shipped
     from sil.studies.table import exit_code, read_table, summary
 
+    if arguments.new is not None:
+        return write_draft("whatif", arguments, f"opc4 whatif {arguments.new}")
     if arguments.list:
         for name, path in shipped().items():
             print(f"{name:24} {load_study(str(path)).file.description}")

@@ -7,10 +7,15 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import child_type, dotted, field_types, one_line
+from sil.files.quantity import unit_of
+from sil.files.units import without_units
+
+if TYPE_CHECKING:
+    from plant.parameters import ParameterSet
 
 Settings = Mapping[str, Any]
 """Values by path, e.g. {"valve.D_fall": 0.02}; a value is what TOML can hold."""
@@ -54,11 +59,17 @@ def toml_value(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def check_numbers(settings: Settings) -> None:
-    """Check settings of a model. Raises InputError for a text."""
-    for path, value in settings.items():
+def model_settings(settings: Settings, parameters: ParameterSet) -> dict[str, Any]:
+    """Return settings of a model in the units of its parameters. Raises InputError for a text."""
+
+    def unit(path: str) -> str:
+        return parameters[path].unit if path in parameters else unit_of(path)
+
+    numbers: dict[str, Any] = without_units(dict(settings), "--set", unit)
+    for path, value in numbers.items():
         if isinstance(value, str):
             raise InputError(f"--set {path}: {value!r}; expected a number")
+    return numbers
 
 
 def leaf_paths(kind: Any, value: Any, prefix: tuple[str | int, ...] = ()) -> Iterator[str]:

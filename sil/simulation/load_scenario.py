@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files.overrides import Settings, leaf_paths, set_value
+from sil.files.quantity import unit_of
+from sil.files.units import without_units
 from sil.firmware.python_file import absolute
 from sil.simulation.scenario import Scenario, check_consistent
 
@@ -135,7 +137,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _checked(raw: dict[str, Any], source: str) -> Scenario:
-    """Rewrite the short forms in place: filter = false, [model.valve] D_fall; return the scenario.
+    """Rewrite the short forms in place: filter = false, [model.valve] D_fall, "7bar"; return the scenario.
 
     One sensor period is both the sensor's and the firmware's; the gears and ratios of [vehicle] become
     those of plant and controller.
@@ -144,7 +146,8 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
     if isinstance(controller, dict) and isinstance(controller.get("filter"), bool):
         controller["filter"] = {"enabled": controller["filter"]}
     if isinstance(model := raw.get("model"), dict):
-        raw["model"] = dict(_flat(model, source, ""))
+        raw["model"] = without_units(dict(_flat(model, source, "")), source, unit_of_path)
+    raw.update(without_units(raw, source))
     scenario = typed_toml.convert(raw, Scenario, source)
     if "period_s" in raw.get("sensor", {}):
         _inside(raw, "controller", "sensor")["period_s"] = raw["sensor"]["period_s"]
@@ -155,6 +158,11 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
         driveline.update({"follows_requests": True} | driveline | ratios)
         broadcast.update({"etc2_period_s": 0.1} | broadcast | ratios | gears)
     return scenario
+
+
+def unit_of_path(path: str) -> str:
+    """Return the unit of a value by its path: of a model's parameter, else what its name ends in."""
+    return _nominal()[path].unit if path in _nominal() else unit_of(path)
 
 
 def _inside(raw: dict[str, Any], *keys: str) -> Any:

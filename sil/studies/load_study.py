@@ -10,6 +10,7 @@ from msgspec import structs
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
+from sil.files.units import without_units
 from sil.simulation import load_scenario
 from sil.studies.study import ScenarioStudy, Study, StudyFile, check_rows, filled
 
@@ -28,7 +29,8 @@ def load_study(where: str, effects: Sequence[str] = (), model: str | None = None
     Raises InputError with file, location, what is wrong and what was expected.
     """
     path = _path_of(where)
-    file = read_file(typed_toml.read_toml(path), str(path))
+    table = without_units(typed_toml.read_toml(path), str(path), load_scenario.unit_of_path)
+    file = read_file(table, str(path))
     groups = {
         group: [each for choice in getattr(file, group) for each in filled(choice, file.each)]
         for group in ("load", "strategy", "variant")
