@@ -19,8 +19,11 @@ from numpy.typing import NDArray
 from can_dbc.errors import InputError, nearest
 from can_dbc.typed_toml import convert, read_toml
 from plant.systems.stroke import Stroke, StrokeConditions
-from sil.campaign.tables import SCALES, formula, read_columns
+from sil.campaign.formula import formula
+from sil.campaign.tables import Decimal, read_columns
+from sil.campaign.units import SCALES
 from sil.files.overrides import toml_value
+from sil.files.quantity import counted
 
 Floats = NDArray[np.float64]
 
@@ -94,14 +97,18 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
             )
 
     def conditions(
-        self, atmosphere_pa: float, temperature_k: float, progress: float
+        self, atmosphere_pa: float, temperature_k: float, progress: float, gauge_pa: float
     ) -> StrokeConditions:
-        """Return what the plant has to know; `progress` as in `StrokeConditions`."""
+        """Return what the plant has to know; `progress` as in `StrokeConditions`.
+
+        gauge_pa: what the stated pressure counts from [Pa].
+        """
         values = {
             key: value
             for key, value in asdict(self).items()
             if key not in ("file", "label", "flow_model")
         }
+        values["supply_pressure_pa"] += gauge_pa
         values["commands"] = tuple(sorted(self.commands, key=lambda command: command[0]))
         return StrokeConditions(
             **values,
@@ -122,6 +129,17 @@ class CampaignTable(Struct, frozen=True, forbid_unknown_fields=True):
     sample_rate_hz: Rate
     stroke: Annotated[list[StrokeTable], Meta(min_length=1)]
     columns: dict[str, Text | ColumnMap] = {}
+    pressures: Literal["absolute", "gauge"] = "absolute"
+    decimal: Decimal | None = None
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """How the files of a campaign are read: [columns], what gauges count from in Pa, decimal sign."""
+
+    columns: Mapping[str, ColumnMap] = field(default_factory=dict)
+    gauge_pa: float = 0.0
+    decimal: Decimal | None = None
 
 
 def column_maps(columns: Mapping[str, str | ColumnMap]) -> dict[str, ColumnMap]:
@@ -168,11 +186,11 @@ class Campaign:
     temperature_k: float
     sample_rate_hz: float
     strokes: tuple[CampaignStroke, ...]
-    columns: Mapping[str, ColumnMap] = field(default_factory=dict)
+    recorder: Recorder = field(default_factory=Recorder)
 
     def record(self, stroke: CampaignStroke) -> Record:
         """Read a stroke's CSV; InputError names file and line of what is wrong."""
-        return read_record(self.folder / stroke.file, self.columns)
+        return read_record(self.folder / stroke.file, self.recorder)
 
 
 @dataclass(frozen=True)
@@ -248,8 +266,11 @@ def load_campaign(path: str | Path) -> Campaign:
     check_files([entry.file for entry in table.stroke], file)
     last = max(len(table.stroke) - 1, 1)
     single = len(table.stroke) == 1
+    gauge_pa = table.atmosphere_pa if table.pressures == "gauge" else 0.0
     conditions = [
-        entry.conditions(table.atmosphere_pa, table.temperature_k, 1.0 if single else number / last)
+        entry.conditions(
+            table.atmosphere_pa, table.temperature_k, 1.0 if single else number / last, gauge_pa
+        )
         for number, entry in enumerate(table.stroke)
     ]
     strokes = tuple(
@@ -257,7 +278,8 @@ def load_campaign(path: str | Path) -> Campaign:
         for entry, stroke_conditions in zip(table.stroke, conditions, strict=True)
     )
     top = {key: getattr(table, key) for key in TOP}
-    return Campaign(file.parent, **top, strokes=strokes, columns=column_maps(table.columns))
+    recorder = Recorder(column_maps(table.columns), gauge_pa, table.decimal)
+    return Campaign(file.parent, **top, strokes=strokes, recorder=recorder)
 
 
 def joined(campaigns: Sequence[Campaign]) -> Campaign:
@@ -272,10 +294,10 @@ def joined(campaigns: Sequence[Campaign]) -> Campaign:
     for number, one in enumerate(campaigns):
         if places[number] in places[:number]:
             raise InputError(f"{one.folder}: the same campaign twice; expected each once")
-        if one.columns != first.columns:
+        if one.recorder != first.recorder:
             raise InputError(
-                f"{one.folder / 'campaign.toml'}: columns: not those of {first.folder}; expected "
-                "campaigns of one recorder"
+                f"{one.folder / 'campaign.toml'}: columns, pressures or decimal: not those of "
+                f"{first.folder}; expected campaigns of one recorder"
             )
     return replace(
         first,
@@ -290,20 +312,61 @@ def joined(campaigns: Sequence[Campaign]) -> Campaign:
     )
 
 
-def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> Record:
+def read_record(path: Path, recorder: Recorder | None = None) -> Record:
     """Read a stroke's file: CSV with header row, comma, dot, or what `sil.campaign.tables` reads.
 
     A stored unit may follow a name in [columns]: `x` or `x [mm]`. Columns that are neither ours nor
-    mapped are left out if they hold values that are not finite. Raises InputError with the line of a
-    torn row, a cell that is no finite number, time that does not increase, or a missing time_s.
+    mapped are left out if they hold values that are not finite; so are samples that repeat a stamp.
+    Raises InputError with the line of a torn row, a cell that is no finite number, time that falls or
+    hardly increases, or a missing time_s.
     """
-    channels, dialect, units = read_columns(path)
+    recorder = recorder or Recorder()
+    channels, dialect, units = read_columns(path, recorder.decimal)
+    used = _map_columns(path, recorder.columns, channels, units)
+    notes = [dialect]
+    if left_out := _without_infinite(path, channels, used):
+        notes.append(f"columns with values that are not finite left out: {', '.join(left_out)}")
+    for name in channels if recorder.gauge_pa else ():
+        if OWN.fullmatch(name) and name.startswith("pressure_"):
+            channels[name] = channels[name] + recorder.gauge_pa
+    steps = np.diff(channels["time_s"])
+    repeated = np.append(False, steps == 0.0)
+    if np.any(steps < 0.0) or 2 * np.count_nonzero(repeated) >= len(steps):
+        row = int(np.argmax(steps <= 0.0))
+        where = f"sample {row + 2}" if dialect else f"line {row + 3}"
+        raise InputError(
+            f"{path}: {where}: time_s does not increase; expected rising times, or time_s = "
+            '"row / RATE" in [columns]'
+        )
+    if np.any(repeated):
+        channels = {name: values[~repeated] for name, values in channels.items()}
+        notes.append(f"{counted(int(repeated.sum()), 'sample')} left out that repeat a stamp")
+    time_s = channels["time_s"]
+    inside = np.ones(len(time_s), dtype=bool)
+    for ours, source in recorder.columns.items():
+        if source.delay_s:
+            own_s = time_s + source.delay_s
+            inside &= (own_s >= time_s[0]) & (own_s <= time_s[-1])
+            channels[ours] = np.interp(own_s, time_s, channels[ours])
+    if not np.any(inside):
+        raise InputError(f"{path}: delay_s: longer than the record of {np.ptp(time_s):.4g} s")
+    channels = {name: values[inside] for name, values in channels.items()}
+    return Record(path, channels, ", ".join(filter(None, notes)))
+
+
+def _map_columns(
+    path: Path, columns: Mapping[str, ColumnMap], channels: dict[str, Floats], units: dict[str, str]
+) -> set[str]:
+    """Add our columns to those of a file [n]; return the names that are used.
+
+    Raises InputError for a source that the file does not have, and for one of ours in another unit.
+    """
     header = list(channels)
     sources = {
         f"{n} [{unit}]": channels[n] for n, unit in units.items() if n in channels
     } | channels
     used: set[str] = set()
-    for ours, source in (columns or {}).items():
+    for ours, source in columns.items():
         try:
             column = source.column
             values = sources[column] if column in sources else formula(column, sources)
@@ -314,7 +377,7 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
             ) from None
         channels[ours] = sources[ours] = values * source.scale + source.offset
         used |= {ours, source.column}
-    for name in sorted(units.keys() & channels.keys() - set(columns or ())):
+    for name in sorted(units.keys() & channels.keys() - set(columns)):
         if OWN.fullmatch(name) and SCALES.get(units[name], (name, 1.0))[1] != 1.0:
             raise InputError(
                 f"{path}: {name}: stored in {units[name]}; expected SI, or its scale in [columns]"
@@ -323,6 +386,14 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
         raise InputError(
             f"{path}: no column time_s among {', '.join(channels)}; expected it, or a map in [columns]"
         )
+    return used
+
+
+def _without_infinite(path: Path, channels: dict[str, Floats], used: set[str]) -> list[str]:
+    """Take out columns [n] that are not used and not finite; return their names.
+
+    Raises InputError for such a value in a column that is used.
+    """
     left_out = []
     for name in list(channels):
         finite = np.abs(channels[name]) < LARGEST
@@ -336,23 +407,7 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
             )
         left_out.append(name)
         del channels[name]
-    steps = np.diff(channels["time_s"])
-    if np.any(steps <= 0.0):
-        row = int(np.argmax(steps <= 0.0))
-        where = f"sample {row + 2}" if dialect else f"line {row + 3}"
-        raise InputError(f"{path}: {where}: time_s does not increase; expected rising times")
-    time_s = channels["time_s"]
-    inside = np.ones(len(time_s), dtype=bool)
-    for ours, source in (columns or {}).items():
-        if source.delay_s:
-            own_s = time_s + source.delay_s
-            inside &= (own_s >= time_s[0]) & (own_s <= time_s[-1])
-            channels[ours] = np.interp(own_s, time_s, channels[ours])
-    if not np.any(inside):
-        raise InputError(f"{path}: delay_s: longer than the record of {np.ptp(time_s):.4g} s")
-    channels = {name: values[inside] for name, values in channels.items()}
-    note = f"columns with values that are not finite left out: {', '.join(left_out)}"
-    return Record(path, channels, ", ".join(filter(None, (dialect, note if left_out else ""))))
+    return left_out
 
 
 def stroke_columns(stroke: Stroke) -> dict[str, Floats]:
@@ -393,10 +448,14 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     keys = ["kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s"]
     keys += ["commands", "charged_before"]
     lines = [f"{key} = {toml_value(getattr(campaign, key))}" for key in TOP]
+    recorder = campaign.recorder
+    lines += ['pressures = "gauge"'] if recorder.gauge_pa else []
+    lines += [f"decimal = {toml_value(recorder.decimal)}"] if recorder.decimal else []
     for stroke in strokes:
         c = stroke.conditions
         values = {"file": stroke.file, "label": stroke.label}
         values |= {key: getattr(c, key) for key in keys}
+        values["supply_pressure_pa"] = c.supply_pressure_pa - recorder.gauge_pa
         if c.load == "damper":
             values["damper_model"] = c.damper_model
         if c.theoretical_flow:
@@ -405,9 +464,9 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
         values |= {key: getattr(c, key) for key in optional if getattr(c, key)}
         lines += ["", "[[stroke]]"]
         lines += [f"{key} = {toml_value(value)}" for key, value in values.items()]
-    if campaign.columns:
+    if recorder.columns:
         lines += ["", "[columns]"]
-    for name, source in campaign.columns.items():
+    for name, source in recorder.columns.items():
         table = ", ".join(f"{key} = {toml_value(v)}" for key, v in asdict(source).items())
         lines.append(f"{name} = {{ {table} }}")
     return "\n".join(lines) + "\n"

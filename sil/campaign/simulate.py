@@ -17,6 +17,7 @@ from sil.campaign.campaign import (
     Campaign,
     CampaignStroke,
     Record,
+    Recorder,
     campaign_toml,
     stroke_columns,
     write_record,
@@ -114,7 +115,7 @@ def write_campaign(
         written.append(item.entry)
         note(item)
     write_atomically(folder / "reference.toml", "\n".join(arrivals) + "\n")
-    out = replace(campaign, name=f"{campaign.name}_simulated", columns={})
+    out = replace(campaign, name=f"{campaign.name}_simulated", recorder=Recorder())
     write_atomically(folder / "campaign.toml", campaign_toml(out, written))
 
 

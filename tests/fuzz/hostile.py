@@ -369,7 +369,7 @@ def harmless() -> Iterator[None]:
         from sil.campaign.campaign import read_record
 
         for entry in campaign.strokes:
-            read_record(campaign.folder / entry.file, campaign.columns)
+            read_record(campaign.folder / entry.file, campaign.recorder)
         raise InputError("taken, and not run here")
 
     with contextlib.ExitStack() as stack:

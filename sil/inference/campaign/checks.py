@@ -16,6 +16,7 @@ from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
+from sil.files.quantity import counted
 from sil.inference.campaign.model import CampaignModel, channel_parts
 from sil.inference.campaign.noise import estimated_noise
 from sil.inference.campaign.observations import StrokeObservation, kind_of, nominal_noise, observe
@@ -54,6 +55,10 @@ def observed(
     records = [campaign.record(entry) for entry in campaign.strokes]
     named = zip(campaign.strokes, (record.columns for record in records), strict=True)
     findings += [Finding(*what) for what in misspelt_columns(named)]
+    for dialect in sorted({record.dialect for record in records} - {""}):
+        files = [r.path.name for r in records if r.dialect == dialect]
+        more = f" and {len(files) - 1} more" if files[1:] else ""
+        findings.append(Finding(files[0] + more, "read as", dialect))
     clipped: list[set[str]] = []
     for entry, record in zip(campaign.strokes, records, strict=True):
         odd = check_record(entry, record, parameters)
@@ -106,7 +111,8 @@ def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet
             f"{path}: {len(time_s)} samples over {duration:.4g} s; expected a whole stroke"
         )
     steps = np.diff(time_s)
-    if steps.max() > 3.0 * np.median(steps):
+    gaps = steps[steps > 3.0 * np.median(steps)] - np.median(steps)
+    if gaps.sum() > 0.02 * duration:
         line = int(np.argmax(steps)) + 3
         raise InputError(
             f"{path}: line {line}: time_s jumps by {steps.max():.4g} s; "
@@ -119,6 +125,9 @@ def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet
             f"{min(commands):.4g} s"
         )
     findings = []
+    if len(gaps):
+        text = f"{counted(len(gaps), 'gap')}, {gaps.sum():.3g} s in all; nothing is assumed in them"
+        findings.append(Finding(entry.file, "time_s", text))
     if duration < max(commands):
         text = f"ends before the last command at {max(commands):.4g} s"
         findings.append(Finding(entry.file, "time_s", text))

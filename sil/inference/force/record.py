@@ -26,11 +26,13 @@ from sil.campaign.campaign import (
     Floats,
     Rate,
     Record,
+    Recorder,
     Text,
     check_files,
     column_maps,
     read_record,
 )
+from sil.campaign.tables import Decimal
 from sil.files.quantity import counted
 from sil.inference.campaign.noise import noise_of
 from sil.inference.force.checks import odd_channels
@@ -76,6 +78,7 @@ class ForceRig(Struct, frozen=True, forbid_unknown_fields=True):
     stroke: Annotated[list[RecordedMotion], Meta(min_length=1)]
     sample_rate_hz: Rate | None = None
     columns: dict[str, Text | ColumnMap] = {}
+    decimal: Decimal | None = None
     body: Body = Body()
 
 
@@ -162,8 +165,8 @@ def read_motion(path: str | Path) -> Recorded:
     file = description(path)
     rig = convert(read_toml(file), ForceRig, str(file))
     check_files([entry.file for entry in rig.stroke], file)
-    columns = column_maps(rig.columns)
-    records = [read_record(file.parent / entry.file, columns) for entry in rig.stroke]
+    recorder = Recorder(column_maps(rig.columns), decimal=rig.decimal)
+    records = [read_record(file.parent / entry.file, recorder) for entry in rig.stroke]
     rotary = any("angle_rad" in record for record in records)
     usual = [float(np.median(np.diff(record.time_s))) for record in records]
     step = max(1.0 / rig.sample_rate_hz if rig.sample_rate_hz else 0.0, *usual)

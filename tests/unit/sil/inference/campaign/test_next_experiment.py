@@ -11,7 +11,7 @@ import pytest
 from can_dbc.errors import InputError
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.parameters import load
-from sil.campaign.campaign import ColumnMap, campaign_toml, joined, load_campaign
+from sil.campaign.campaign import ColumnMap, Recorder, campaign_toml, joined, load_campaign
 from sil.inference.campaign.designs import described, designs, imagined
 from sil.inference.campaign.diagnosis import available
 from sil.inference.campaign.model import CampaignModel
@@ -158,7 +158,7 @@ def test_causes_that_one_supply_hides_ask_for_another_one(tmp_path) -> None:
     assert again is not None and again.as_json() == found.as_json()
 
     following = next_campaign(
-        replace(campaign, columns={"time_s": ColumnMap("t [ms]", 1e-3)}), found
+        replace(campaign, recorder=Recorder({"time_s": ColumnMap("t [ms]", 1e-3)})), found
     )
     folder = tmp_path / "next"
     folder.mkdir()
@@ -195,6 +195,6 @@ def test_a_campaign_given_twice_and_unlike_columns_are_refused(tmp_path) -> None
     first = made(tmp_path / "first", count=1)
     with pytest.raises(InputError, match="the same campaign twice"):
         joined([first, first])
-    other = replace(first, folder=tmp_path / "x", columns={"time_s": ColumnMap("t")})
+    other = replace(first, folder=tmp_path / "x", recorder=Recorder({"time_s": ColumnMap("t")}))
     with pytest.raises(InputError, match=r"x.campaign.toml: columns: not those of"):
         joined([first, other])
