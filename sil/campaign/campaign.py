@@ -296,8 +296,8 @@ def joined(campaigns: Sequence[Campaign]) -> Campaign:
             raise InputError(f"{one.folder}: the same campaign twice; expected each once")
         if one.recorder != first.recorder:
             raise InputError(
-                f"{one.folder / 'campaign.toml'}: columns, pressures or decimal: not those of "
-                f"{first.folder}; expected campaigns of one recorder"
+                f"{one.folder / 'campaign.toml'}: columns: not those of {first.folder}, or "
+                "pressures or decimal; expected campaigns of one recorder"
             )
     return replace(
         first,
@@ -453,7 +453,7 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     lines += [f"decimal = {toml_value(recorder.decimal)}"] if recorder.decimal else []
     for stroke in strokes:
         c = stroke.conditions
-        values = {"file": stroke.file, "label": stroke.label}
+        values: dict[str, object] = {"file": stroke.file, "label": stroke.label}
         values |= {key: getattr(c, key) for key in keys}
         values["supply_pressure_pa"] = c.supply_pressure_pa - recorder.gauge_pa
         if c.load == "damper":

@@ -198,9 +198,7 @@ def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
     return [f"{name} [{unit}]" if unit else name for name, unit in pairs]
 
 
-def _check_widths(
-    path: Path, rows: Sequence[Sequence[str]], layout: _Layout, whole: bool
-) -> None:
+def _check_widths(path: Path, rows: Sequence[Sequence[str]], layout: _Layout, whole: bool) -> None:
     """Refuse rows of another number of cells. Raises InputError with the line."""
     width = len(layout.names)
     for number, row in enumerate(rows, layout.first + 1):
@@ -228,15 +226,15 @@ def _decimal_of(
                 either = either or (number, cell)
             elif dot or comma:
                 proof.setdefault("." if dot else ",", (number, cell))
-    if len(proof) == 2 or (stated and proof.keys() - {stated}):
-        first, other = sorted(proof.values()) if len(proof) == 2 else (None, *proof.values())
-        against = f"decimal = {stated!r}" if first is None else f"{first[1]} in line {first[0]}"
+    lines = sorted(proof.values())
+    if len(lines) == 2 or (stated and proof.keys() - {stated}):
+        number, cell = lines[-1]
+        one = f"{lines[0][1]} in line {lines[0][0]}" if len(lines) == 2 else f"decimal = {stated!r}"
         raise InputError(
-            f"{path}: line {other[0]}: {other[1]!r} has another decimal sign than {against}; expected "
-            "one in a file"
+            f"{path}: line {number}: {cell!r} has another decimal sign than {one}; expected one in a file"
         )
-    if stated or proof:
-        return stated or next(iter(proof))
+    if proof or stated:
+        return next(iter(proof), stated or ".")
     if either and (layout.delimiter != "comma" or "," in either[1]):
         one, thousand = re.sub("[.,]", ".", either[1]), re.sub("[.,]", "", either[1])
         raise Undecided(
@@ -302,13 +300,19 @@ def _columns(
 def _slower(filled: Sequence[int], count: int) -> bool:
     """Return whether the rows with values are those of a slower channel, and no holes."""
     steps = np.diff(filled)
-    return 10 <= len(filled) < count and bool(steps.min() >= 2 and steps.max() <= 2 * np.median(steps))
+    return 10 <= len(filled) < count and bool(
+        steps.min() >= 2 and steps.max() <= 2 * np.median(steps)
+    )
 
 
 def _moment(cell: str) -> datetime | None:
     """Return a date with its time of day, or a time of day, None for any other text."""
     day = re.sub(r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1", cell)
     try:
-        return datetime.fromisoformat(day if "-" in day else f"1970-01-01 {day}") if ":" in cell else None
+        return (
+            datetime.fromisoformat(day if "-" in day else f"1970-01-01 {day}")
+            if ":" in cell
+            else None
+        )
     except ValueError:
         return None

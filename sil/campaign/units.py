@@ -18,16 +18,16 @@ UNITS = {
 SCALES = {unit: (ours, scale) for ours, table in UNITS.items() for unit, scale in table.items()}
 """Our column and the factor to its unit, by unit."""
 
-UNSCALED = frozenset(
-    "V mV A mA % counts count digits digit inc LSB °C degC C K Hz kHz rpm 1/min g kg l/min m/s m/s² m/s^2 - 1".split()
-)
-"""Units of channels that only a calibration, or nothing, makes one of our columns."""
+RAW = re.compile(r"m?[VA]|%|counts?|digits?|inc|LSB|-|1")
+"""Units of channels that only a calibration makes one of our columns."""
+OTHER = re.compile(r"°?C|degC|K|k?Hz|rpm|1/min|k?g|l/min|m/s²?")
+"""Units of channels that are none of our columns."""
 
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a unit that is known."""
     text = text.strip("[]() ")
-    return text in SCALES or text in UNSCALED
+    return text in SCALES or any(form.fullmatch(text) for form in (RAW, OTHER))
 
 
 def unit_of(name: str) -> str:

@@ -39,6 +39,12 @@ ARGUMENTS = (
         type=Path,
     ),
     argument(
+        "--rig",
+        "with --new: what was measured: strokes of this actuator, of its fixed piston, of a cylinder of "
+        "your own, or force and position of anything",
+        choices=("actuator", "fixed", "cylinder", "force"),
+    ),
+    argument(
         "--next",
         "also write OUT/next/campaign.toml: the strokes to measure next",
     ),
@@ -66,6 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     if arguments.new is not None:
         return new_campaign(arguments)
+    if arguments.rig is not None:
+        raise InputError("--rig: without --new; expected it where a campaign is drafted")
     for item in arguments.campaign:
         if not Path(item).exists():
             raise InputError(f"{item}: does not exist; expected a campaign folder or CAN logs")
@@ -153,19 +161,22 @@ def new_campaign(arguments: argparse.Namespace) -> int:
     made = [each for each in (path, *path.parents) if not each.exists()]
     with locked_folder(path, "--new") as folder:
         try:
-            asked = draft(folder, [Path(file) for file in arguments.campaign], arguments.force)
+            files = [Path(file) for file in arguments.campaign]
+            columns, asked = draft(folder, files, arguments.rig, arguments.force)
         except BaseException:
             with contextlib.suppress(OSError):  # what another program has put there stays
                 for each in made:
                     each.rmdir()
             raise
     if arguments.json:
-        print(json.dumps({"campaign": str(folder), "questions": asked}, ensure_ascii=False))
+        values = {"campaign": str(folder), "columns": columns, "questions": asked}
+        print(json.dumps(values, ensure_ascii=False))
         return 0
     print(f"{folder / 'campaign.toml'}: a draft; channels.png shows what is in the files")
-    for text in asked:
-        print(f"  {text}")
-    print(f"  then: opc4 diagnose {folder}")
+    print("columns: as named, unit as written, taken for", *columns, sep="\n  ")
+    print("open:", *asked, sep="\n  ")
+    model = " --model CYLINDER.toml" if arguments.rig == "cylinder" else ""
+    print(f'answer every "?" in it, then: opc4 diagnose {folder}{model}')
     return 0
 
 

@@ -1,35 +1,32 @@
 """A draft of campaign.toml from measured files: columns found by name and unit, channels drawn.
 
-What the files do not say is in the draft as a comment and is returned as a question.
+What the files do not say is in the draft as "?", which is refused until it is answered, or as a
+comment, and is returned as a question.
 Checked by: tests/unit/sil/inference/campaign/test_new_campaign.py
 """
 
 from __future__ import annotations
 
-import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from can_dbc.errors import InputError
+from plant.parameters import load
 from sil.campaign.campaign import LARGEST, Floats
-from sil.campaign.tables import SCALES, read_columns
+from sil.campaign.tables import Undecided, read_columns
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
+from sil.inference.campaign.channels import Channel, commands, pressures, recognise
 from sil.report.figure import Figure, Panel, Series, Stack
 from sil.report.picture import save
 
-NAMES = {
-    "time_s": r"t|time|zeit|timestamp|.*_t(ime)?",
-    "position_m": r"x|y|qm?|pos(ition)?|weg|stroke|displacement|travel|s",
-    "angle_rad": r"angle|theta|phi|winkel",
-    "force_n": r"f|force|kraft|load(cell)?|u?force",
-    "torque_n_m": r"torque|tau|moment|drehmoment",
-    "pressure_pa": r"p\d?|pressure|druck|.*press(ure)?",
-}
-"""Names by which a channel is recognised if no unit identifies it."""
+Rig = Literal["actuator", "fixed", "cylinder", "force"]
+CHAMBERS: dict[Rig, str] = {"actuator": "BNF", "fixed": "12", "cylinder": "12", "force": ""}
+"""What can be measured, and the chambers that have gauges and valves then."""
 
 ASKED = {
     "position_m": "no position was found: state position_m (m) or angle_rad (rad)",
@@ -37,151 +34,225 @@ ASKED = {
     "with piston_area_m2 in [body]; a formula of columns will do, e.g. \"'p1' * 5e-4 - 'p2' * 4e-4\"",
     "time_s": 'no time was found: state time_s, e.g. "row / 1000" for 1000 rows a second',
 }
-ALWAYS = (
+OF_FORCE = (
     "does the force push towards increasing position? If not, scale = -1",
     "is there a mass that is known? Then [body] mass_kg = ...; it is fitted otherwise",
 )
-PRESSURE = (
+OF_PRESSURE = (
     "which area does pressure_pa act on, and which way? [body] piston_area_m2, negative if it pushes "
     "towards decreasing position; without it, pressure is a condition only",
     "gauge and absolute pressure differ by an offset only: either will do",
 )
+OF_STROKES = (
+    "atmosphere_pa and temperature_k: what were they? Standard values are assumed",
+    "supply_pressure_pa of each stroke: what did the regulator show? A charged chamber shows it",
+    "load and rest_s of each stroke: nothing coupled to it and 60 s of rest before are assumed",
+)
 
 
-def unit_of(name: str) -> str:
-    """Return the unit in a column's name: x [mm], x (mm), x_mm, x/mm; empty if there is none."""
-    match = re.search(r"[\[(/]\s*([^\])]+?)\s*[\])]?$", name) or re.search(r"_([A-Za-zµ°]+)$", name)
-    return match.group(1) if match and match.group(1) in SCALES else ""
-
-
-def guess(
-    columns: Mapping[str, Floats], units: Mapping[str, str]
-) -> dict[str, tuple[str, float, bool]]:
-    """Return column, scale and whether a unit was stated, by our name, of what the names and values show.
-
-    columns: [n] each, in the file's units; units: those stored apart from the names.
-    """
-    sources: dict[str, tuple[str, float, bool]] = {}
-    for name, values in columns.items():
-        stored = units[name] if units.get(name) in SCALES else ""
-        if name in NAMES:
-            fits = stored and SCALES[stored][0] == name
-            sources[name] = (name, SCALES[stored][1] if fits else 1.0, True)
-            continue
-        bare = re.split(r"[./]", name)[-1].strip()
-        unit = stored or unit_of(name) or unit_of(bare)
-        if units.get(name) and not unit:
-            continue  # volts, say: neither a position nor a force, whatever its name
-        if unit:
-            ours, scale = SCALES[unit]
-        else:
-            ours = next((o for o, form in NAMES.items() if re.fullmatch(form, bare.lower())), "")
-            scale = 1.0
-        if ours == "time_s" and np.any(np.diff(values) <= 0.0):
-            continue
-        if ours == "pressure_pa" and ours in sources:
-            ours = "pressure_2_pa"
-        if ours and ours not in sources:
-            sources[ours] = (name, scale, bool(unit))
-    return sources
-
-
-def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]:
+def draft(
+    folder: Path, files: Sequence[Path], rig: Rig | None = None, force: bool = False
+) -> tuple[list[str], list[str]]:
     """Copy files into a folder with a draft of campaign.toml and a picture of the channels.
 
-    Returns what the files do not say, as questions. Raises InputError for a file that cannot be
-    read, for files whose columns differ, for two of the same name and, without `force`, where the
-    folder has another file of that name.
+    rig: what was measured; None where a channel of force shows that it is "force".
+    Returns what each column was taken for, and what the files do not say, as questions. Raises
+    InputError for a file that cannot be read, for files whose columns differ, for two of the same
+    name and, without `force`, where the folder has another file of that name.
     """
     names = [file.name for file in files]
     for number, name in enumerate(names):
         if name in names[:number]:
             raise InputError(f"{files[number]}: a second file {name}; expected different names")
-    tables = [read_columns(file) for file in files]
+    tables, undecided = _read(files)
     for file in files:
         copy = folder / file.name
         if copy.exists() and not force and not file.samefile(copy):
             raise InputError(f"{copy}: exists, and is not {file}; expected none, or --force")
     columns, _dialect, units = tables[0]
-    shown = {f"{name} [{units[name]}]" if name in units else name for name in columns}
-    for file, (other, _, others) in zip(files, tables, strict=True):
-        described = {f"{name} [{others[name]}]" if name in others else name for name in other}
-        if described != shown:
-            odd = ", ".join(sorted(described ^ shown))
-            raise InputError(f"{file}: other columns than {files[0]}: {odd}; expected the same")
-    odd_ones = {
+    infinite = {
         name
         for table, *_rest in tables
         for name, values in table.items()
         if not np.all(np.abs(values) < LARGEST)
     }
-    columns = {name: values for name, values in columns.items() if name not in odd_ones}
-    sources = guess(columns, units)
-    if not set(columns) - {sources.get("time_s", ("",))[0]}:
+    columns = {name: values for name, values in columns.items() if name not in infinite}
+    channels = recognise(columns, units, CHAMBERS[rig or "force"])
+    if rig is None and not {c.ours for c in channels} & {"force_n", "torque_n_m"}:
+        raise InputError(
+            f"{files[0]}: no channel of force, so what was measured? expected --rig actuator (strokes of this "
+            "actuator), fixed (its fixed piston), cylinder (one of your own) or force"
+        )
+    rig = rig or "force"
+    if not any(channel.ours != "time_s" for channel in channels):
         raise InputError(f"{files[0]}: no channel but time; expected position and force")
-    asked = [text for name, text in ASKED.items() if not _has(sources, name)]
-    asked += ALWAYS + (PRESSURE if "pressure_pa" in sources else ())
-    vague = [source for source, _scale, stated in sources.values() if not stated]
-    if vague:
-        asked.append(f"no unit is stated for {', '.join(vague)}: SI is assumed")
-    rate = []
-    if "time_s" in sources:
-        name, scale, _stated = sources["time_s"]
-        hertz = 1.0 / (scale * float(np.median(np.diff(columns[name]))))
-        rate = [f"sample_rate_hz = {float(f'{hertz:.6g}')}"]
-    lines = [
-        f"name = {toml_value(folder.name)}",
-        'rig = "force"',
-        *rate,
-        "",
-        *(f"# {text}" for text in asked),
-        "[columns]",
-    ]
-    for ours, (source, scale, _stated) in sources.items():
-        if ours != source or scale != 1.0:
-            lines.append(f"{ours} = {{ column = {toml_value(source)}, scale = {scale!r} }}")
-    used = {source for source, _scale, _stated in sources.values()}
-    lines += [f"# not used: {toml_value(name)}" for name in columns if name not in used]
-    lines += [f"# not used, not finite: {toml_value(name)}" for name in sorted(odd_ones)]
-    for file, (_columns, dialect, _units) in zip(files, tables, strict=True):
+    drawn = [{name: table[name] for name in columns} for table, *_rest in tables]
+    level = "absolute" if rig == "force" else pressures(channels, drawn)
+    asked = [undecided] if undecided else []
+    asked += _questions(rig, channels, level)
+    asked += [f"{c.name}: {c.open}" for c in channels if c.open and not c.ours.startswith("cmd_")]
+    lines = [*_head(folder.name, rig, channels, columns, level)]
+    lines += ['decimal = "?"'] if undecided else []
+    lines += ["", *(f"# {text}" for text in asked), "[columns]"]
+    lines += map(_column, (channel for channel in channels if _is_mapped(channel)))
+    lines += [f"# not used: {toml_value(c.name)}" for c in channels if not c.ours]
+    lines += [f"# not used, not finite: {toml_value(name)}" for name in sorted(infinite)]
+    for file, (_columns, dialect, _units), table in zip(files, tables, drawn, strict=True):
         lines += ["", "[[stroke]]", f"file = {toml_value(file.name)}"]
         lines += [f"# read as {dialect}"] if dialect else []
+        lines += [] if rig == "force" else _conditions(rig, channels, table)
         if not (folder / file.name).exists() or not file.samefile(folder / file.name):
             shutil.copyfile(file, folder / file.name)
     write_atomically(folder / "campaign.toml", "\n".join(lines) + "\n")
-    drawn = [{name: table[name] for name in columns} for table, *_rest in tables]
-    save(_figure(files, drawn, sources), folder, "channels")
-    return asked
+    save(_figure(files, drawn, channels), folder, "channels")
+    return list(map(str, channels)), asked
 
 
-def _has(sources: Mapping[str, object], name: str) -> bool:
-    others = {"position_m": ("angle_rad",), "force_n": ("torque_n_m",)}
-    return name in sources or any(other in sources for other in others.get(name, ()))
+def _read(
+    files: Sequence[Path],
+) -> tuple[list[tuple[dict[str, Floats], str, dict[str, str]]], str]:
+    """Read files with the same columns; return what asks for the decimal sign if none shows it.
+
+    Raises InputError for files whose columns differ.
+    """
+    undecided = ""
+    tables = []
+    for file in files:
+        try:
+            tables.append(read_columns(file))
+        except Undecided as error:
+            undecided = undecided or str(error)
+            tables.append(read_columns(file, "."))
+    shown = [
+        {f"{name} [{units[name]}]" if name in units else name for name in columns}
+        for columns, _dialect, units in tables
+    ]
+    for file, each in zip(files, shown, strict=True):
+        if each != shown[0]:
+            odd = ", ".join(sorted(each ^ shown[0]))
+            raise InputError(f"{file}: other columns than {files[0]}: {odd}; expected the same")
+    return tables, undecided
+
+
+def _questions(rig: Rig, channels: Sequence[Channel], level: str) -> Iterator[str]:
+    """Yield what files of this rig do not say."""
+    ours = {channel.ours for channel in channels}
+    others = {"position_m": "angle_rad", "force_n": "torque_n_m"}
+    for name, text in ASKED.items():
+        if (
+            name not in ours
+            and others.get(name) not in ours
+            and (rig == "force" or name != "force_n")
+        ):
+            yield text
+    if rig == "force":
+        yield from OF_FORCE + (OF_PRESSURE if "pressure_pa" in ours else ())
+        return
+    if level == "?":
+        yield 'pressures = "gauge" or "absolute"? By their level they may count from the atmosphere'
+    if not any(name.startswith("cmd_") for name in ours):
+        yield 'commands of each stroke: when was which valve switched, e.g. [[0.01, "B", 0.98]]?'.replace(
+            "B", CHAMBERS[rig][0]
+        )
+    yield from OF_STROKES
+    if rig == "cylinder":
+        yield "the cylinder's data sheet: a model file with [cylinder], given as --model"
+
+
+def _head(
+    name: str, rig: Rig, channels: Sequence[Channel], columns: Mapping[str, Floats], level: str
+) -> Iterator[str]:
+    """Yield the keys above the first table."""
+    yield f"name = {toml_value(name)}"
+    yield f"rig = {toml_value({'actuator': 'length', 'cylinder': 'fixed'}.get(rig, rig))}"
+    clock = next((channel for channel in channels if channel.ours == "time_s"), None)
+    if clock is not None and clock.scale is not None:
+        hertz = 1.0 / (clock.scale * float(np.median(np.diff(columns[clock.name]))))
+        yield f"sample_rate_hz = {float(f'{hertz:.6g}')}"
+    elif rig != "force":
+        yield 'sample_rate_hz = "?"'
+    if rig != "force":
+        yield from ("atmosphere_pa = 101325.0", "temperature_k = 293.15")
+        yield f"pressures = {toml_value(level)}"
+
+
+def _is_mapped(channel: Channel) -> bool:
+    """Return whether a channel needs a row in [columns]; commands are stated for each stroke."""
+    same = channel.ours == channel.name and channel.scale == 1.0
+    return bool(channel.ours) and not channel.ours.startswith("cmd_") and not same
+
+
+def _column(channel: Channel) -> str:
+    source = f"column = {toml_value(channel.name)}"
+    if channel.scale is None:
+        return f'{channel.ours} = {{ {source}, scale = "?", offset = 0.0 }}'
+    return f"{channel.ours} = {{ {source}, scale = {channel.scale!r} }}"
+
+
+def _conditions(rig: Rig, channels: list[Channel], table: Mapping[str, Floats]) -> list[str]:
+    """Return the conditions of a stroke as its file shows them, "?" for those it does not."""
+    by_name = {channel.ours: channel for channel in channels}
+    position = by_name.get("position_m")
+    ends_m = None
+    if position is not None and position.scale:
+        values = table[position.name] * position.scale
+        count = max(1, len(values) // 50)
+        ends_m = float(np.median(values[:count])), float(np.median(values[-count:]))
+    charged, changes = commands(channels, table)
+    has_commands = any(name.startswith("cmd_") for name in by_name)
+    values_by_key = {
+        "kind": _kind(ends_m) if rig == "actuator" else "fixed",
+        "supply_pressure_pa": _supply_pa(channels, table, charged),
+        "load": "none",
+        "rest_s": 60.0,
+        "commands": changes if has_commands else "?",
+        "charged_before": charged if has_commands else "?",
+    }
+    if rig != "actuator" and ends_m and abs(ends_m[0]) > 5e-4:
+        values_by_key["start_offset_m"] = round(ends_m[0], 6)
+    return [f"{key} = {toml_value(value)}" for key, value in values_by_key.items()]
+
+
+def _supply_pa(
+    channels: Sequence[Channel], table: Mapping[str, Floats], charged: Sequence[str]
+) -> float | str:
+    """Return what a chamber shows that was charged before, "?" without one."""
+    for channel in channels:
+        if channel.ours in {f"pressure_{chamber}_pa" for chamber in charged} and channel.scale:
+            values = table[channel.name]
+            return float(f"{np.median(values[: max(1, len(values) // 200)]) * channel.scale:.3g}")
+    return "?"
+
+
+def _kind(ends_m: tuple[float, float] | None) -> str:
+    """Return the kind of a stroke between two positions from neutral [m], "?" for none of ours."""
+    stroke_m = load("nominal").value("length.stroke")
+    if ends_m is None or any(abs(x / stroke_m - round(x / stroke_m)) > 0.2 for x in ends_m):
+        return "?"
+    steps = round(ends_m[0] / stroke_m), round(ends_m[1] / stroke_m)
+    return {(0, 1): "N-B", (1, 0): "B-N", (0, -1): "N-F", (-1, 0): "F-N"}.get(steps, "?")
 
 
 def _figure(
-    files: Sequence[Path],
-    tables: Sequence[Mapping[str, Floats]],
-    sources: Mapping[str, tuple[str, float, bool]],
+    files: Sequence[Path], tables: Sequence[Mapping[str, Floats]], channels: Sequence[Channel]
 ) -> Figure:
     """Return every channel as it is in the files, one stack a file (of the first four)."""
     stacks = []
-    clock = sources.get("time_s", ("", 1.0, False))
-    ours = {source: name for name, (source, _scale, _stated) in sources.items()}
+    clock = next((c for c in channels if c.ours == "time_s" and c.scale), Channel(""))
     for file, columns in list(zip(files, tables, strict=True))[:4]:
         count = len(next(iter(columns.values())))
-        x = np.asarray(columns.get(clock[0], np.arange(float(count))) * clock[1])
+        x = np.asarray(columns.get(clock.name, np.arange(float(count))) * (clock.scale or 1.0))
         rows = np.linspace(0, count - 1, min(count, 4000)).astype(int)
         panels = [
             Panel(
-                f"{name}: {ours.get(name, 'not used')}",
+                f"{channel.name}: {channel.ours or 'not used'}",
                 "",
-                [Series(name, x[rows], values[rows], "measured")],
+                [Series(channel.name, x[rows], columns[channel.name][rows], "measured")],
                 height=110,
             )
-            for name, values in columns.items()
-            if name != clock[0]
+            for channel in channels
+            if channel.name != clock.name
         ]
-        axis = "time, s" if clock[0] else "row"
+        axis = "time, s" if clock.name else "row"
         stacks.append(Stack(f"{axis} ({file.name})", panels))
     return Figure(stacks)

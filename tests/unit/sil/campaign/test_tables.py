@@ -15,6 +15,7 @@ from sil.campaign.binary_tables import Channels
 from sil.campaign.campaign import ColumnMap, Record, Recorder
 from sil.campaign.campaign import read_record as read_as
 from sil.campaign.formula import formula
+from sil.campaign.tables import Decimal, read_columns
 
 TIME = np.arange(40) / 1000.0
 POSITION = 0.01 * np.sin(50.0 * TIME)
@@ -310,3 +311,63 @@ def test_one_wrong_stamp_is_named_with_its_line(tmp_path: Path, odd: str) -> Non
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(InputError, match="line 3: "):
         read_record(tmp_path / "a.csv", {"time_s": ColumnMap(column="t")})
+
+
+KRAFT = "Zeit [ms];Kraft [N]\n0;1.230\n1;{}\n2;1.232\n"
+
+
+def test_the_decimal_sign_is_decided_once_for_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text(KRAFT.format("1.231,5"))
+    columns, dialect, _ = read_columns(file)
+    assert columns["Kraft [N]"].tolist() == [1230.0, 1231.5, 1232.0] and "decimal comma" in dialect
+    file.write_text(KRAFT.format("0.5"))
+    assert read_columns(file)[0]["Kraft [N]"].tolist() == [1.23, 0.5, 1.232]
+
+
+@pytest.mark.parametrize(
+    ("cell", "decimal", "why"),
+    [
+        ("1.231", None, "line 2: '1.230' may be 1.23 or 1230, and no number .* tells which"),
+        ("0,5", ".", r"line 3: '0,5' has another decimal sign than decimal = '.'"),
+        ("0,5\n1;0.25", None, "line 4: '0.25' has another decimal sign than 0,5 in line 3"),
+    ],
+)
+def test_an_undecidable_or_contradictory_sign_is_refused(
+    tmp_path: Path, cell: str, decimal: Decimal | None, why: str
+) -> None:
+    (tmp_path / "a.csv").write_text(KRAFT.format(cell))
+    with pytest.raises(InputError, match=why):
+        read_columns(tmp_path / "a.csv", decimal)
+
+
+def test_what_a_file_does_not_show_is_stated(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(KRAFT.format("1.231").replace("[ms]", "[V]"))
+    assert read_columns(tmp_path / "a.csv", ",")[0]["Kraft [N]"].tolist() == [
+        1230.0,
+        1231.0,
+        1232.0,
+    ]
+    (tmp_path / "b.csv").write_text("time_s,pressure_1_pa\n0.0,1e3\n0.1,2e3\n")
+    gauge = read_as(tmp_path / "b.csv", Recorder(gauge_pa=1e5))
+    assert gauge["pressure_1_pa"].tolist() == [101e3, 102e3]
+
+
+@pytest.mark.parametrize("units", ["ms;V;A;°C", "ms;foo;foo;", "[ms];[mm];[x];[y]"])
+def test_a_row_of_units_is_not_the_header(tmp_path: Path, units: str) -> None:
+    rows = "\n".join(f"{k};0,5;1,5;21,5" for k in range(5))
+    (tmp_path / "a.csv").write_text(f"Messung;;;\r\nZeit;s;F;T\r\n{units}\r\n{rows}\r\n")
+    names = list(read_columns(tmp_path / "a.csv")[0])
+    assert names[0] == "Zeit [ms]" and [name.split(" [")[0] for name in names[1:]] == [
+        "s",
+        "F",
+        "T",
+    ]
+
+
+def test_samples_that_repeat_a_stamp_are_counted(tmp_path: Path) -> None:
+    rows = "\n".join(f"{t},{k}" for k, t in enumerate((0, 1, 1, 2, 3, 4)))
+    (tmp_path / "a.csv").write_text("time_s,x\n" + rows)
+    record = read_record(tmp_path / "a.csv")
+    assert record["x"].tolist() == [0, 1, 3, 4, 5]
+    assert "1 sample left out that repeat a stamp" in record.dialect

@@ -11,25 +11,105 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from sil.campaign.campaign import load_campaign
+from sil.campaign.units import unit_of
 from sil.cli import main
-from sil.inference.campaign.new_campaign import draft, guess, unit_of
+from sil.inference.campaign.channels import recognise
+from sil.inference.campaign.new_campaign import draft
 from sil.inference.force.record import read_motion
 
 
 @pytest.mark.parametrize(
     ("name", "unit"),
-    [("x [mm]", "mm"), ("Kraft (kN)", "kN"), ("p1 / bar", "bar"), ("t_ms", "ms"), ("load", "")],
+    [("x [mm]", "mm"), ("Kraft (kN)", "kN"), ("p1 / bar", "bar"), ("t_ms", "ms"), ("s [V]", "V")],
 )
 def test_units_are_found_in_names(name: str, unit: str) -> None:
     assert unit_of(name) == unit
 
 
-def test_time_is_what_increases() -> None:
-    columns = {"a [s]": np.zeros(3), "b [s]": np.arange(3.0), "Weg": np.ones(3)}
-    found = {"time_s": ("b [s]", 1.0, True), "position_m": ("Weg", 1.0, False)}
-    assert guess(columns, {}) == found
-    found = {"time_s": ("b [s]", 1.0, True), "position_m": ("Weg", 1e-3, True)}
-    assert guess(columns, {"Weg": "mm", "a [s]": "V"}) == found
+RISING = np.linspace(0.0, 0.01, 5)
+
+
+@pytest.mark.parametrize(
+    ("name", "stored", "chambers", "ours", "scale"),
+    [
+        ("Weg", "", "", "position_m", 1.0),
+        ("Weg", "mm", "", "position_m", 1e-3),
+        ("s [V]", "", "", "position_m", None),  # volts are no metres
+        ("force", "V", "", "force_n", None),
+        ("Druck B [bar]", "", "BNF", "pressure_B_pa", 1e5),
+        ("p1", "bar", "12", "pressure_1_pa", 1e5),
+        ("p_2 [V]", "", "12", "pressure_2_pa", None),
+        ("pressure [bar]", "", "12", "", 1.0),
+        ("Ventil_F [V]", "", "BNF", "cmd_F", None),
+        ("PWM N [%]", "", "BNF", "cmd_N", 0.01),
+        ("T [°C]", "", "BNF", "", 1.0),
+        ("cmd_B", "", "BNF", "cmd_B", 1.0),
+    ],
+)
+def test_a_column_is_known_or_asked_about(
+    name: str, stored: str, chambers: str, ours: str, scale: float | None
+) -> None:
+    (channel,) = recognise({name: RISING}, {name: stored}, chambers)
+    assert (channel.ours, channel.scale) == (ours, scale)
+    assert scale is not None or channel.open
+
+
+def test_time_is_what_does_not_fall() -> None:
+    columns = {"a [s]": -RISING, "b [s]": RISING, "t": 1e3 * RISING}
+    a, b, t = recognise(columns, {}, "")
+    assert (a.ours, b.ours, b.scale) == ("", "time_s", 1.0) and "a second time_s" in t.open
+    assert recognise({"t": 1e5 * RISING}, {}, "")[0].scale is None  # steps of minutes: another unit
+
+
+@pytest.mark.parametrize(
+    ("rig", "written"), [("actuator", "length"), ("fixed", "fixed"), ("cylinder", "fixed")]
+)
+def test_strokes_with_gauges_and_valves_are_drafted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rig: str, written: str
+) -> None:
+    valve, start = ("B", "N") if rig == "actuator" else ("1", "2")
+    rows = [
+        f"Zeit;Weg;Druck {valve};Druck {start};Ventil {valve};Ventil {start}",
+        "ms;mm;bar;bar;V;V",
+    ]
+    for k in range(100):
+        on = 24 * (k >= 10)
+        rows.append(f"{k};{0.1298 * k:.3f};{on / 5};7.0;{on};{24 - on}")
+    (tmp_path / "a.csv").write_text("\r\n".join(rows).replace(".", ","), encoding="utf-8-sig")
+    command = ["diagnose", "--new", str(tmp_path / "new"), str(tmp_path / "a.csv")]
+    assert main(command) == 2
+    assert "what was measured? expected --rig actuator" in capsys.readouterr().err
+    assert main([*command, "--rig", rig]) == 0
+    text = (tmp_path / "new" / "campaign.toml").read_text(encoding="utf-8")
+    table = tomllib.loads(text)
+    assert (
+        table["rig"] == written and table["pressures"] == "?" and table["sample_rate_hz"] == 1000.0
+    )
+    (stroke,) = table["stroke"]
+    assert stroke["commands"] == [[0.01, valve, 0.98], [0.01, start, 0.0]]
+    assert stroke["charged_before"] == [start] and stroke["supply_pressure_pa"] == 7e5
+    assert stroke["kind"] == ("N-B" if rig == "actuator" else "fixed")
+    with pytest.raises(InputError, match=r"pressures: '[?]' is unknown; expected one of"):
+        load_campaign(tmp_path / "new")
+    (tmp_path / "new" / "campaign.toml").write_text(
+        text.replace('"?"', '"gauge"'), encoding="utf-8"
+    )
+    campaign = load_campaign(tmp_path / "new")
+    assert campaign.strokes[0].conditions.supply_pressure_pa == 801325.0
+    record = campaign.record(campaign.strokes[0])
+    assert record[f"pressure_{start}_pa"].max() == pytest.approx(801325.0)
+    assert record.time_s[1] == 0.001
+
+
+def test_an_undecided_sign_is_a_question_of_the_draft(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "Zeit [ms];Kraft [N]\n" + "".join(f"{k};1.{k:03d}\n" for k in range(9))
+    )
+    (tmp_path / "new").mkdir()
+    _columns, asked = draft(tmp_path / "new", [tmp_path / "a.csv"])
+    assert "may be 1 or 1000" in asked[0]
+    assert 'decimal = "?"' in (tmp_path / "new" / "campaign.toml").read_text(encoding="utf-8")
 
 
 def test_a_stored_unit_is_drafted_and_a_channel_without_values_is_not_used(tmp_path: Path) -> None:
@@ -58,7 +138,7 @@ def test_a_draft_without_time_states_no_rate(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).normal(0.0, [0.0, 1e-6, 1.0], (len(t), 3))
     np.savetxt(tmp_path / "a.csv", np.column_stack([1e3 * t, x, f]) + noise, delimiter="\t")
     (tmp_path / "new").mkdir()
-    draft(tmp_path / "new", [tmp_path / "a.csv"])
+    draft(tmp_path / "new", [tmp_path / "a.csv"], "force")
     file = tmp_path / "new" / "campaign.toml"
     text = file.read_text(encoding="utf-8")
     columns = 'time_s = { column = "column_1", scale = 0.001 }\nposition_m = "column_2"\nforce_n = "column_3"'
@@ -106,12 +186,6 @@ def test_files_that_differ_are_refused(tmp_path: Path, capsys: pytest.CaptureFix
     files = [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]
     assert main(["diagnose", "--new", str(tmp_path / "c"), *files]) == 2
     assert "other columns than" in capsys.readouterr().err
-
-
-def test_a_stored_unit_that_fits_nothing_is_not_guessed_by_its_name() -> None:
-    values = {name: np.arange(3.0) for name in ("time", "force", "pos")}
-    found = guess(values, {"time": "s", "force": "V", "pos": "mm"})
-    assert found == {"time_s": ("time", 1.0, True), "position_m": ("pos", 0.001, True)}
 
 
 def test_a_draft_is_not_replaced_and_files_may_lie_in_its_folder(

@@ -166,7 +166,7 @@ def test_causes_that_one_supply_hides_ask_for_another_one(tmp_path) -> None:
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     read = load_campaign(folder)
     assert [entry.label for entry in read.strokes] == [p.entry.label for p in found.strokes]
-    assert read.columns == {"time_s": ColumnMap("t [ms]", 1e-3)}
+    assert read.recorder.columns == {"time_s": ColumnMap("t [ms]", 1e-3)}
 
 
 def test_nothing_is_asked_where_nothing_is_open(clean_model, clean) -> None:
