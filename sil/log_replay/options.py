@@ -13,8 +13,8 @@ from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_text
 from sil.files.output_folder import RESULT
 from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
-from sil.log_replay.tick_grid import Survey
 from sil.firmware.python_file import absolute
+from sil.log_replay.tick_grid import Survey
 from sil.simulation import load_scenario, scenario
 from sil.simulation.load_scenario import Loaded
 

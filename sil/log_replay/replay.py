@@ -19,6 +19,7 @@ from sil.coupling.transports.channel import Participant
 from sil.files.html_table import html_table
 from sil.files.overrides import Settings
 from sil.files.quantity import counted
+from sil.firmware.python_file import OwnController
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings
@@ -28,7 +29,6 @@ from sil.log_replay.signals import Options
 from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
-from sil.firmware.python_file import OwnController
 
 ESTIMATE = "ControllerStatus.estimate_m"
 FORGOTTEN_M = 1e-6

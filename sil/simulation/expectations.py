@@ -14,6 +14,7 @@ from can_dbc.messages import (
     Gear,
     PlantMotion,
     ShiftRequest,
+    ShiftState,
     ValveCommand,
 )
 from plant.devices.conditions import ChamberName
@@ -33,6 +34,9 @@ else:
 Instant = Literal[
     "requested", "commanded", "valve_open", "first_motion", "arrived", "confirmed", "blow_end"
 ]
+
+
+UNFINISHED = "neither confirmed nor refused at the end"
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -77,6 +81,9 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """Gear whose stop the stay is at when the run ends, in the plant."""
     confirmed_gear: GearName | Literal["unknown"] | None = None
     """Gear that the controller reports at the end."""
+    unfinished: bool | None = None
+    """Whether the last request is neither confirmed nor refused (in FAULT) at the end. If left out, and
+    confirmed_gear too, it must be one of them."""
     confirmed_after_arrival: bool = False
     """Whether gears must be confirmed, and no sooner than the stay has arrived to remain."""
     states: list[StateName] = []
@@ -109,6 +116,7 @@ class Observed:
         self.valves_off = True
         self.position_m = 0.0
         self.confirmed: Gear | None = None
+        self.refuses = False
         self.faults = Fault.NONE
         self.visited: list[str] = []
         for record in records:
@@ -126,23 +134,39 @@ class Observed:
             self.position_m = float(record.truth["position_m"][-1])
         for _, message in record.of(ControllerStatus):
             self.confirmed = message.confirmed
+            self.refuses = message.state is ShiftState.FAULT
             self.faults |= message.faults
             if message.state.name not in self.visited:
                 self.visited.append(message.state.name)
 
 
 def evaluate(
-    wanted: Expectations, observed: Observed, shifts: Sequence[Shift], metrics: dict[str, Any]
+    wanted: Expectations,
+    observed: Observed,
+    shifts: Sequence[Shift],
+    metrics: dict[str, Any],
+    last_request: GearName | None = None,
 ) -> list[Check]:
-    """Return one Check per expectation, after those that the run did anything at all."""
+    """Return one Check per expectation, after those that the run did anything at all.
+
+    last_request: the gear that the driver requested last.
+    """
     least, visited = wanted.min_frames, observed.visited
     checks = [
         _check(f"{kind.__name__} frames on the bus", count, {"min": least}, count >= least)
         for kind, count in observed.counts.items()
     ]
-    if wanted.valves_opened is None and shifts:
+    if wanted.valves_opened is None and last_request is not None:
         count = len(observed.opened)
         checks.append(_check("a valve opened", count, {"min": 1}, count > 0))
+    if last_request is not None and (
+        wanted.unfinished is not None or wanted.confirmed_gear is None
+    ):
+        done = observed.confirmed == Gear[last_request.upper()]
+        state = "confirmed" if done else "refused" if observed.refuses else UNFINISHED
+        limit = UNFINISHED if wanted.unfinished else "confirmed or refused"
+        passed = (state == UNFINISHED) == bool(wanted.unfinished)
+        checks.append(_check(f"request for {last_request}", state, limit, passed))
     if wanted.final_gear is not None:
         gear = gear_at(observed.position_m, observed.stroke_m).name.lower()
         checks.append(_check("final gear", gear, wanted.final_gear))

@@ -6,7 +6,9 @@ Checked by: tests/unit/sil/simulation/test_in_memory.py
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,9 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec.structs import replace
 
+from can_dbc.messages import ControllerStatus
 from sil.coupling.bus import BusFrame
-from sil.coupling.clock import to_ns
+from sil.coupling.clock import NS_PER_S, to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep
 from sil.coupling.transports.channel import InProcess
@@ -25,7 +29,7 @@ from sil.files.quantity import counted, quantity
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
 from sil.recording.run_record import Floats, PlantEvent, RunRecord
 from sil.simulation import build, metrics
-from sil.simulation.expectations import Observed, evaluate
+from sil.simulation.expectations import UNFINISHED, Observed, evaluate
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario, contradictions
@@ -38,7 +42,7 @@ if TYPE_CHECKING:
 class Run:
     """A finished run of `scenario`."""
 
-    scenario: Scenario
+    loaded: Loaded
     record: RunRecord
     """The plant's true states, its events and every frame."""
     shifts: list[metrics.Shift]
@@ -50,7 +54,12 @@ class Run:
     @cached_property
     def checks(self) -> list[Check]:
         """The expectations of the scenario with their values and limits."""
-        return evaluate(self.scenario.expect, Observed(self.record), self.shifts, self.metrics)
+        return checks_of(self.loaded, Observed(self.record), self.shifts, self.metrics)
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario with every value."""
+        return self.loaded.scenario
 
     @property
     def passed(self) -> bool:
@@ -163,4 +172,31 @@ def run_in_memory(loaded: Loaded) -> Run:
     balances = next((dict(e.values) for e in events if e.name == "balance"), {})
     switchings = metrics.valve_switchings(record)
     figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, len(frames))
-    return Run(scenario, record, shifts, figures, balances, rows)
+    return Run(loaded, record, shifts, figures, balances, rows)
+
+
+def checks_of(
+    loaded: Loaded, observed: Observed, shifts: list[metrics.Shift], figures: dict[str, Any]
+) -> list[Check]:
+    """Return the checks of a run; an unfinished request with the time by which the run is too short."""
+    scenario = loaded.scenario
+    last = scenario.request[-1].gear if scenario.request else None
+    checks = evaluate(scenario.expect, observed, shifts, figures, last)
+    for k, check in enumerate(checks):
+        if check.value == UNFINISHED and not check.passed and not scenario.bus.guest:
+            checks[k] = replace(check, value=f"{UNFINISHED}; {_too_short(loaded)}")
+    return checks
+
+
+def _too_short(loaded: Loaded) -> str:
+    """Return by how much a run is too short for its last request: by a longer run of the same scenario."""
+    scenario, longer_s = loaded.scenario, 3.0
+    last, end_s = scenario.request[-1], scenario.duration_s
+    run = run_in_memory(
+        dataclasses.replace(loaded, scenario=replace(scenario, duration_s=end_s + longer_s))
+    )
+    for entry, message in run.record.of(ControllerStatus):
+        late_s = entry.arrival_ns / NS_PER_S - end_s
+        if late_s > 0.0 and message.confirmed == build.gear_of(last.gear):
+            return f"the run is too short by {math.ceil(1e3 * late_s)} ms"
+    return f"not even {longer_s:g} s later"

@@ -39,6 +39,7 @@ from sil.simulation import build, expectations, metrics
 from sil.simulation.build import SCENARIO, SENDERS, Say
 from sil.simulation.bus_figures import bus_figures, overload, response_check
 from sil.simulation.free_run import CLOCK_ZERO, FreeRun
+from sil.simulation.in_memory import checks_of
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check, Result, versions, write_result
 from sil.simulation.scenario import Scenario, contradictions, expanded
@@ -217,7 +218,7 @@ def _judge(
             record, balances = recorded.piece(0), dict(recorded.balances)
             figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, log.frames)
             if why is None:
-                checks = expectations.evaluate(scenario.expect, observed, shifts, figures)
+                checks = checks_of(loaded, observed, shifts, figures)
                 checks += _balance_checks(balances)
                 if "mode" not in bus:  # a free-running bus has no simulated arbitration
                     checks += response_check(scenario, bus)

@@ -12,11 +12,11 @@ from sil.simulation.expectations import Expectations, Limits, Observed, Timing, 
 from tests.support import made_run
 
 
-def judged(**wanted: Any) -> dict[str, bool]:
+def judged(last_request: Any = None, **wanted: Any) -> dict[str, bool]:
     record = made_run.made()
     found = metrics.shifts(record, Gear.NEUTRAL)
     figures = metrics.summary(found, 0.0, 2, 200)
-    checks = evaluate(Expectations(**wanted), Observed(record), found, figures)
+    checks = evaluate(Expectations(**wanted), Observed(record), found, figures, last_request)
     return {c.name: c.passed for c in checks}
 
 
@@ -26,14 +26,18 @@ def test_an_empty_table_still_refuses_an_empty_success() -> None:
         "ValveCommand frames on the bus": True,
         "ControllerStatus frames on the bus": True,
         "PlantMotion frames on the bus": True,
-        "a valve opened": True,
     }
+    finished = judged("backward")
+    assert finished["a valve opened"] and finished["request for backward"]
+    assert not judged("forward")["request for forward"]
     assert not judged(min_frames=41)["ValveCommand frames on the bus"]
 
 
 @pytest.mark.parametrize(
     ("wanted", "name", "met"),
     [
+        ({"last_request": "forward", "unfinished": True}, "request for forward", True),
+        ({"last_request": "backward", "unfinished": True}, "request for backward", False),
         ({"final_gear": "backward"}, "final gear", True),
         ({"final_gear": "neutral"}, "final gear", False),
         ({"confirmed_gear": "backward"}, "confirmed gear", True),

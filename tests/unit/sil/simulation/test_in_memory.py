@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.load_scenario import load
+from sil.simulation.load_scenario import from_table, load
 from sil.simulation.runner import run
 
 
@@ -27,3 +27,20 @@ def test_another_valve_is_another_run() -> None:
     slow = run_in_memory(load("lab_n_b", settings={"valve.D_rise": 0.012}))
     assert plain.trace_sha256 != slow.trace_sha256
     assert slow.shifts[0].arrived_s == pytest.approx(plain.shifts[0].arrived_s + 0.004, abs=1e-6)
+
+
+def test_a_request_that_the_run_is_too_short_for_fails_it_and_says_by_how_much() -> None:
+    table = {"name": "short", "duration_s": 0.45, "request": [{"at_s": 0.4, "gear": "backward"}]}
+    failed = [
+        check for check in run_in_memory(from_table(table, "short")).checks if not check.passed
+    ]
+    assert [check.name for check in failed] == ["request for backward"]
+    missing_s = 1e-3 * float(str(failed[0].value).split()[-2])
+    assert 0.04 < missing_s < 0.1
+    longer = table | {"duration_s": 0.45 + missing_s + 0.001}
+    assert run_in_memory(from_table(longer, "long enough")).passed
+    nothing = table | {"duration_s": 0.41, "request": [{"at_s": 0.405, "gear": "backward"}]}
+    checks = run_in_memory(from_table(nothing, "nothing moves")).checks
+    assert {"a valve opened", "request for backward"} == {c.name for c in checks if not c.passed}
+    stated = nothing | {"expect": {"valves_opened": [], "unfinished": True}}
+    assert run_in_memory(from_table(stated, "stated")).passed
