@@ -76,7 +76,7 @@ def run(
     model: Where | None = None,
     seed: int | None = None,
 ) -> Run:
-    """Run a scenario in memory, as `opc4 run` does.
+    """Run a scenario in memory, as `opc4 run --strict` does.
 
     Parameters
     ----------

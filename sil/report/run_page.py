@@ -60,6 +60,7 @@ def run_page(result: Result, picture: bytes | None, groups: Sequence[Group] = ()
         head,
         groups,
         result=plain,
+        changes=[] if result.changes is None else [row.cells() for row in result.changes.metrics],
         picture=None
         if picture is None
         else Picture(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     MetricName = str
 else:
     FaultName = Literal[tuple(fault.name for fault in Fault if fault)]
-    MetricName = Literal[METRICS]
+    MetricName = Literal[tuple(METRICS)]
 Instant = Literal[
     "requested", "commanded", "valve_open", "first_motion", "arrived", "confirmed", "blow_end"
 ]
@@ -81,9 +81,9 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """Gear whose stop the stay is at when the run ends, in the plant."""
     confirmed_gear: GearName | Literal["unknown"] | None = None
     """Gear that the controller reports at the end."""
-    unfinished: bool | None = None
-    """Whether the last request is neither confirmed nor refused (in FAULT) at the end. If left out, and
-    confirmed_gear too, it must be one of them."""
+    unfinished: bool = False
+    """Allow the last request to be neither confirmed nor refused (in FAULT) at the end. If false, and
+    confirmed_gear left out, it must be one of them."""
     confirmed_after_arrival: bool = False
     """Whether gears must be confirmed, and no sooner than the stay has arrived to remain."""
     states: list[StateName] = []
@@ -159,14 +159,11 @@ def evaluate(
     if wanted.valves_opened is None and last_request is not None:
         count = len(observed.opened)
         checks.append(_check("a valve opened", count, {"min": 1}, count > 0))
-    if last_request is not None and (
-        wanted.unfinished is not None or wanted.confirmed_gear is None
-    ):
+    if last_request and wanted.confirmed_gear is None and not wanted.unfinished:
         done = observed.confirmed == Gear[last_request.upper()]
         state = "confirmed" if done else "refused" if observed.refuses else UNFINISHED
-        limit = UNFINISHED if wanted.unfinished else "confirmed or refused"
-        passed = (state == UNFINISHED) == bool(wanted.unfinished)
-        checks.append(_check(f"request for {last_request}", state, limit, passed))
+        limit = "confirmed or refused"
+        checks.append(_check(f"request for {last_request}", state, limit, state != UNFINISHED))
     if wanted.final_gear is not None:
         gear = gear_at(observed.position_m, observed.stroke_m).name.lower()
         checks.append(_check("final gear", gear, wanted.final_gear))

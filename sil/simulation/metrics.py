@@ -49,10 +49,22 @@ WORST = (
 """Figures of a shift of which the summary gives the largest."""
 
 LAST = tuple(name for name in LAGS if "held" not in name)
-METRICS = (
-    *("shift_time_s", "impact_speed_m_s", "impact_energy_j", *WORST, *LAST),
-    *("air_used_kg", "valve_switchings", "frames"),
-)
+METRICS = {
+    "shift_time_s": "time from request to stop",
+    "impact_speed_m_s": "impact speed",
+    "impact_energy_j": "impact energy",
+    "impact_worst_m_s": "hardest impact, as a speed",
+    "impact_worst_energy_j": "hardest impact, energy",
+    "impact_worst_force_n": "hardest impact, peak force",
+    "confirmed_early_s": "confirmed before arrival",
+    "position_lag_10_s": "estimate late at 10 %",
+    "position_lag_90_s": "estimate late at 90 %",
+    "bus_lag_10_s": "the same on the bus, 10 %",
+    "bus_lag_90_s": "the same on the bus, 90 %",
+    "air_used_kg": "air used",
+    "valve_switchings": "valve switchings",
+    "frames": "frames on the bus",
+}
 """Numbers of the summary: of all shifts, of the last one (`LAST`), of the run as a whole."""
 
 GEAR_CHAMBER = {Gear.BACKWARD: "B", Gear.NEUTRAL: "N", Gear.FORWARD: "F"}

@@ -40,8 +40,8 @@ def test_run_is_the_command(tmp_path: Path) -> None:
     found = api.run("lab_n_b", {"controller.filter": False})
     main(
         [
-            *["run", "lab_n_b", "--set", "controller.filter=false", "--no-report", "--out"],
-            f"{tmp_path}/r",
+            *["run", "lab_n_b", "--set", "controller.filter=false", "--no-report"],
+            *["--strict", "--out", f"{tmp_path}/r"],
         ]
     )
     output = json.loads((tmp_path / "r" / "result.json").read_text())

@@ -14,7 +14,7 @@ from sil.live import runs
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     outputs = tmp_path_factory.mktemp("runs")
-    for name, extra in (("one", []), ("two", ["--set", "valve.D_rise=0.02"])):
+    for name, extra in (("one", []), ("two", ["--set", "valve.D_rise=0.02", "--strict"])):
         code = main(["run", "lab_n_b", "--out", str(outputs / name), "--no-report", *extra])
         assert code in (0, 1)
     (outputs / "begun").mkdir()
