@@ -24,6 +24,7 @@ _interrupts: list[int] = []  # signals that arrived: a library may make an error
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
+    "compare": "compare runs: metrics, traces over each other, events that differ",
     "simulate": "simulate the plant alone, under the conditions of a measurement campaign",
     "diagnose": "compare measurements with the simulation and name the cause of a difference",
     "replay": "feed a recorded log into the firmware and compare; shifts of a truck's log",

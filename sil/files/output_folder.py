@@ -30,12 +30,14 @@ RUN_FILES = frozenset(
             "fault_table.md",
             "sensitivity.md",
         ),
-        *("diagnosis.json", "extended_model.toml", "model.toml"),
+        *("diagnosis.json", "extended_model.toml", "model.toml", "compare.json"),
     )
 )
 """The files that commands write; any of them in a folder marks it as holding a run."""
 
-LAST_WRITTEN = frozenset(("summary.json", "diff.json", "diagnosis.json", "model.toml"))
+LAST_WRITTEN = frozenset(
+    ("summary.json", "diff.json", "diagnosis.json", "model.toml", "compare.json")
+)
 """Of these each exists only when its command has finished; result.json itself says `complete`."""
 
 INCOMPLETE = "INCOMPLETE"

@@ -34,20 +34,24 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def is_changed(self) -> bool:
         """Whether a run differs from the first one, by more than rounding of its last digits."""
-        first, *others = self.values
-        return any(
-            (a is None) != (first is None)
-            or (a is not None and first is not None and not math.isclose(a, first, rel_tol=1e-6))
-            for a in others
-        )
+        return not all(self._is_first(value) for value in self.values)
+
+    def _is_first(self, value: float | None) -> bool:
+        first = self.values[0]
+        if value is None or first is None:
+            return value is first
+        return math.isclose(value, first, rel_tol=1e-6)
 
     def cells(self) -> list[str]:
-        """Return title, the values, and the differences of all but the first run, with units."""
+        """Return title, the values, and the differences of all but the first run, with units; "=": none."""
         unit = unit_of(self.name)
         return [
             self.title,
             *("none" if value is None else quantity(value, unit) for value in self.values),
-            *(signed(difference, unit) for difference in self.differences[1:]),
+            *(
+                "=" if self._is_first(value) else signed(difference, unit)
+                for value, difference in zip(self.values[1:], self.differences[1:], strict=True)
+            ),
         ]
 
 

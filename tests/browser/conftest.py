@@ -90,6 +90,13 @@ def of_run(folder: Path) -> list[str]:
     return ["run", "full_shift"]
 
 
+def of_compare(folder: Path) -> list[str]:
+    for name, pressure in (("nine", "9bar"), ("seven", "7bar")):
+        words = ["--set", f"plant.supply_pressure_pa={pressure}", "--no-report"]
+        assert main(["run", "full_shift", *words, "--out", str(folder / name)]) == 0
+    return ["compare", str(folder / "nine"), str(folder / "seven")]
+
+
 def of_replay(folder: Path) -> list[str]:
     assert main(["run", "full_shift", "--no-report", "--out", str(folder / "run")]) == 0
     return [
@@ -135,6 +142,7 @@ def of_force(folder: Path) -> list[str]:
 
 MAKERS: dict[str, tuple[Callable[[Path], list[str]], int]] = {
     "run": (of_run, 0),
+    "compare": (of_compare, 0),
     "replay": (of_replay, 1),
     "truck": (of_truck, 0),
     "whatif": (of_whatif, 0),

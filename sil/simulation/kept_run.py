@@ -1,0 +1,166 @@
+"""A run that was written to a folder, read back: result, trace, and its events by time after the request.
+
+Checked by: tests/unit/sil/cli/test_compare.py
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from can_dbc.errors import InputError
+from can_dbc.messages import Fault, ShiftState
+from can_dbc.typed_toml import convert
+from can_dbc.user_file import read_user_file
+from sil.files.output_folder import RESULT
+from sil.recording.recorder import EVENTS
+from sil.recording.run_record import Floats
+from sil.simulation.metrics import Shift
+
+MOST_BYTES = 1 << 30
+"""The largest file of a run that is read."""
+
+INSTANTS = ("commanded_s", "first_motion_s", "arrived_s", "confirmed_s", "blow_end_s")
+
+
+class _Metrics(msgspec.Struct, frozen=True):
+    shifts: list[Shift] = []
+
+
+class _Stored(msgspec.Struct, frozen=True):
+    scenario_name: str
+    complete: bool
+    metrics: dict[str, Any]
+    trace_sha256: str | None
+
+
+@dataclass(frozen=True)
+class KeptRun:
+    """A finished run: metrics of result.json, shifts, columns [n] of trace.csv in SI units, events (time in s, name)."""
+
+    name: str
+    scenario_name: str
+    trace_sha256: str | None
+    metrics: Mapping[str, Any]
+    shifts: Sequence[Shift]
+    trace: Mapping[str, Floats]
+    events: Sequence[tuple[float, str]]
+
+    def span(self, shift: int) -> tuple[float, float]:
+        """Return from when to when a shift lasts, in s: until the next request, or the end."""
+        starts = [each.requested_s for each in self.shifts] or [0.0]
+        return starts[shift], [*starts[1:], float(self.trace["time_s"][-1])][shift]
+
+
+def read_run(where: Path, name: str) -> KeptRun:
+    """Read a run's folder, or the folder of its result.json.
+
+    Raises InputError for a file that is missing or not of a run, and for a run that did not finish.
+    """
+    folder = where.parent if where.name == RESULT else where
+    path = folder / RESULT
+    try:
+        raw = json.loads(read_user_file(path, "the result.json of a run", MOST_BYTES))
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: not JSON; expected the result.json of a run") from None
+    stored = convert(raw, _Stored, str(path))
+    if not stored.complete:
+        raise InputError(f"{path}: the run did not finish; expected a complete one")
+    shifts = convert(stored.metrics, _Metrics, str(path), "metrics").shifts
+    trace = _read_trace(folder / "trace.csv")
+    events = [*_plant_events(folder / EVENTS), *_controller_events(trace)]
+    return KeptRun(
+        name,
+        stored.scenario_name,
+        stored.trace_sha256,
+        stored.metrics,
+        shifts,
+        trace,
+        sorted(events),
+    )
+
+
+def _read_trace(path: Path) -> dict[str, Floats]:
+    lines = (
+        read_user_file(path, "the trace of a run", MOST_BYTES).decode(errors="replace").splitlines()
+    )
+    names = lines[0].split(",") if lines else []
+    try:
+        rows = np.genfromtxt(lines[1:], delimiter=",", ndmin=2)
+        trace = dict(zip(names, rows.T, strict=True))
+        return {name: trace[name] for name in ("time_s", *(n for n in names if n != "time_s"))}
+    except (ValueError, KeyError):
+        raise InputError(f"{path}: not a trace; expected the trace.csv of a run") from None
+
+
+def _plant_events(path: Path) -> Iterator[tuple[float, str]]:
+    text = read_user_file(path, "the events of a run", MOST_BYTES).decode(errors="replace")
+    for number, line in enumerate(text.splitlines(), 1):
+        try:
+            event = json.loads(line)
+            at_s, name = float(event["time_s"]), str(event["name"])
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{path}:{number}: no event; expected time_s and name") from None
+        if name != "balance":
+            yield at_s, name.replace("_", " ")
+
+
+def _controller_events(trace: Mapping[str, Floats]) -> Iterator[tuple[float, str]]:
+    """Yield when the controller reports another state, or a fault that it did not report before."""
+    time_s = trace["time_s"]
+    states = np.nan_to_num(trace["controller_state"], nan=-1).astype(int)
+    for row in np.flatnonzero(np.diff(states)) + 1:
+        yield float(time_s[row]), f"state {ShiftState(int(states[row])).name}"
+    faults = np.nan_to_num(trace["controller_faults"]).astype(int)
+    for fault in Fault:
+        if fault and (reported := np.flatnonzero(faults & fault.value)).size:
+            yield float(time_s[reported[0]]), f"{fault.name} reported"
+
+
+class EventRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One event of several runs: its shift, from 1, and its times after the request in s, None where it is missing."""
+
+    shift: int
+    name: str
+    after_request_s: list[float | None]
+
+    @property
+    def differs(self) -> bool:
+        """Whether it is missing in a run, or its times differ by more than a microsecond."""
+        times = [time for time in self.after_request_s if time is not None]
+        return len(times) < len(self.after_request_s) or max(times) - min(times) > 1e-6
+
+
+def event_rows(runs: Sequence[KeptRun]) -> list[EventRow]:
+    """Return the events of all runs by shift and time; repeated ones are matched by their number."""
+    times: dict[tuple[int, str], list[float | None]] = {}
+    for k, run in enumerate(runs):
+        for shift in range(max(1, len(run.shifts))):
+            begin, end = run.span(shift)
+            counts: Counter[str] = Counter()
+            for at_s, name in _events_of(run, shift):
+                if begin <= at_s < end:
+                    counts[name] += 1
+                    label = name if counts[name] == 1 else f"{name} ({counts[name]})"
+                    row = times.setdefault((shift + 1, label), [None] * len(runs))
+                    row[k] = at_s - begin
+    rows = [
+        EventRow(shift=shift, name=name, after_request_s=row)
+        for (shift, name), row in times.items()
+    ]
+    return sorted(rows, key=lambda r: (r.shift, min(t for t in r.after_request_s if t is not None)))
+
+
+def _events_of(run: KeptRun, shift: int) -> Iterator[tuple[float, str]]:
+    yield from run.events
+    if run.shifts:
+        for name in INSTANTS:
+            if (at_s := getattr(run.shifts[shift], name)) is not None:
+                yield at_s, name.removesuffix("_s").replace("_", " ")
