@@ -8,10 +8,13 @@ instant that they count from.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from can_dbc.errors import InputError
 from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader, leading_bytes
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
+from sil.logs.report import Location
 from sil.logs.source import Chunk, Line
 from sil.logs.times import (
     NS_PER_S,
@@ -53,6 +56,10 @@ _OTHER_EVENTS: Final = {
 }
 
 
+class WrongBase(Exception):
+    """The bytes of a line are of the other number base than the header states."""
+
+
 class _Event(NamedTuple):
     """A frame without its time, whether its line is surely whole, and a remark for the report."""
 
@@ -65,7 +72,7 @@ def parse_event(text: str, decimal: bool) -> _Event:
     """Parse the line after its time.
 
     decimal: the numbers are decimal, not hex. Raises NotAFrame for an event of another kind,
-    ValueError for a broken frame line.
+    ValueError for a broken frame line, WrongBase for one that proves the other base.
     """
     classic = _CLASSIC.match(text)
     if classic:
@@ -81,7 +88,7 @@ def parse_event(text: str, decimal: bool) -> _Event:
         frame = LogFrame(0, 0, b"", False, error=True, fd=fd, channel=str(int(channel)))
         return _Event(frame._replace(direction=direction))
     if text[:5].upper() == "CANFD":
-        return _fd(text)
+        return _fd(text, decimal)
     for pattern, name in _OTHER_EVENTS.items():
         if re.match(pattern, text, re.IGNORECASE):
             raise NotAFrame(name)
@@ -102,14 +109,32 @@ def _direction(word: str) -> str:
     return word.capitalize()
 
 
+def _identifier(digits: str, decimal: bool) -> int:
+    if decimal and not digits.isdecimal():
+        raise ValueError(f"identifier {digits} ; expected a decimal number as the header states")
+    return int(digits, 10 if decimal else 16)
+
+
+def _check_base(words: Sequence[str], count: int, decimal: bool) -> None:
+    """Raise WrongBase if `count` words are bytes, and only in the other base."""
+    here, other = (r"\d{1,3}", "[0-9A-Fa-f]{2}") if decimal else ("[0-9A-Fa-f]{2}", r"\d{1,3}")
+    data = words[:count]
+    whole = 0 < count == len(data) and all(re.fullmatch(other, word) for word in data)
+    if whole and not all(re.fullmatch(here, word) for word in data):
+        raise WrongBase
+
+
 def _classic(match: re.Match[str], decimal: bool) -> _Event:
     channel, digits, extended, way, kind, rest = match.groups()
     base = 10 if decimal else 16
-    if decimal and not digits.isdecimal():
-        raise ValueError(f"identifier {digits} ; expected a decimal number as the header states")
-    frame = LogFrame(0, int(digits, base), b"", bool(extended), channel=str(int(channel)))
-    frame = frame._replace(direction=_direction(way))
     words = (rest or "").split()
+    _check_base(
+        words[1:], int(words[0], 16) if words[:1] and _HEX_WORD.match(words[0]) else 0, decimal
+    )
+    frame = LogFrame(
+        0, _identifier(digits, decimal), b"", bool(extended), channel=str(int(channel))
+    )
+    frame = frame._replace(direction=_direction(way))
     code_text = words[0] if words else ""
     coded = bool(_HEX_WORD.match(code_text)) and len(code_text) <= 2
     if kind.lower() == "r":
@@ -132,16 +157,17 @@ def _classic(match: re.Match[str], decimal: bool) -> _Event:
     return _Event(frame._replace(data=data, fd=fd, raw_dlc=raw_dlc), whole, remark)
 
 
-def _fd(text: str) -> _Event:
+def _fd(text: str, decimal: bool) -> _Event:
     match = _FD.match(text)
     if match is None:
         raise ValueError(f"{text[:40]!r} is no whole CANFD line")
     channel, way, digits, extended, _name, brs, esi, code_text, length_text, rest = match.groups()
     direction = _direction(way)
-    decimal, length = len(code_text) == 2, int(length_text)
-    code = int(code_text, 10 if decimal else 16)
+    decimal_code, length = len(code_text) == 2, int(length_text)
+    code = int(code_text, 10 if decimal_code else 16)
     words = (rest or "").split()
-    data = leading_bytes(words[:length])
+    _check_base(words, length, decimal)
+    data = leading_bytes(words[:length], 10 if decimal else 16)
     if len(data) != length:
         raise ValueError(f"{len(data)} bytes of data; expected {length}")
     flags_text = words[length + 2] if len(words) > length + 2 else ""
@@ -153,12 +179,24 @@ def _fd(text: str) -> _Event:
     if not remote and length != (DLC_LENGTHS[code] if fd else min(code, 8)):
         raise ValueError(f"length code {code_text} does not match {length} bytes")
     frame = LogFrame(
-        *(0, int(digits, 16), data, bool(extended), remote, False, fd, brs == "1", esi == "1"),
+        *(
+            0,
+            _identifier(digits, decimal),
+            data,
+            bool(extended),
+            remote,
+            False,
+            fd,
+            brs == "1",
+            esi == "1",
+        ),
         channel=str(int(channel)),
         direction=direction,
         raw_dlc=code if remote or (not fd and code > 8) else 0,
     )
-    remark = "length codes of CANFD lines are decimal; they were read as such" if decimal else ""
+    remark = (
+        "length codes of CANFD lines are decimal; they were read as such" if decimal_code else ""
+    )
     return _Event(frame, len(words) > length + 3, remark)
 
 
@@ -169,12 +207,18 @@ class AscReader(TextReader):
     _decimal = _deltas = False
     _origin_ns = _last_ns = 0
     _block_ns: int | None = None
+    _measuring = False
+    """A line with a time came after the latest date."""
+    _further = False
+    """The header of a second measurement came: logs were joined."""
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         """Return the frames if the header came before and has hex numbers and plain times."""
         odd = chunk.line == 1 or self._deltas or self._decimal
-        if odd or self._origin_ns > MAX_TIME_NS // 2 or "base" in chunk.text.lower():
+        text = chunk.text.lower()
+        if odd or self._origin_ns > MAX_TIME_NS // 2 or "base" in text or "date" in text:
             return None
+        self._measuring = True
         return self._by_pattern(chunk, _PLAIN, self._origin_ns, NS_PER_S)
 
     def _line(self, line: Line) -> LogFrame | None:
@@ -183,20 +227,27 @@ class AscReader(TextReader):
             return None
         timed = _TIMED.match(text)
         if timed is None:
-            self._header(text)
+            self._header(text, line.number)
             return None
+        self._measuring = True
         time_ns = parse_decimal_ns(timed[1])
         if self._deltas:
             time_ns += self._last_ns
         self._last_ns = time_ns
         try:
             event = parse_event(timed[2], self._decimal)
+        except WrongBase:
+            is_hex = "decimal" if self._decimal else "hex"
+            raise InputError(
+                f"{self._report.path}: line {line.number}: its bytes are not {is_hex}, as the header has it; "
+                f"expected base {'hex' if self._decimal else 'dec'} in the header"
+            ) from None
         except NotAFrame as other:
             if line.unterminated and other.name:
                 raise ValueError("the last line has no end and may be cut short") from None
             # "Start of measurement" at 0: times count from the date of the block (python-can)
             if not other.name and time_ns == 0 and self._block_ns is not None:
-                self._count_from(self._block_ns)
+                self._count_from(self._block_ns, line.number)
             raise
         if line.unterminated and not event.whole:
             raise ValueError("the last line has no end and may be cut short")
@@ -204,8 +255,11 @@ class AscReader(TextReader):
             self._report.note(event.remark)
         return event.frame._replace(time_ns=self._origin_ns + time_ns)
 
-    def _header(self, text: str) -> None:
-        """Take in a line without a time. Raises ValueError if it is no header."""
+    def _header(self, text: str, number: int) -> None:
+        """Take in a line without a time.
+
+        Raises ValueError if it is no header, InputError for one without which no line can be read.
+        """
         report = self._report
         if text.startswith("//"):
             origin = re.match(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z", text)
@@ -214,20 +268,33 @@ class AscReader(TextReader):
                 report.time_base = "absolute"
                 report.notes[:] = [note for note in report.notes if note != ZONE_NOTE]
             return
-        pattern = r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?\s*\Z"
-        base = re.match(pattern, text, re.IGNORECASE)
-        if base:
-            self._decimal = base[1].lower() == "dec"
-            self._deltas = (base[2] or "").lower() == "relative"
-            if self._deltas:
-                report.time_base = "delta"
+        word, _, rest = text.lower().partition(" ")
+        if word in ("base", "timestamps"):
+            rest = text.lower() if word == "timestamps" else rest
+            events = r"(?:\s*(?:no\s+)?internal events logged)?"
+            pattern = (
+                rf"(?:\s*(hex|dec))?{events}(?:\s*timestamps\s+(absolute|relative))?{events}\s*"
+            )
+            stated = re.fullmatch(pattern, rest)
+            if stated is None or not (stated[1] or word == "timestamps"):
+                expected = "base hex|dec  timestamps absolute|relative"
+                raise InputError(
+                    f"{report.path}: line {number}: {text[:60]!r}; expected {expected}"
+                )
+            self._decimal = stated[1] == "dec" if stated[1] else self._decimal
+            self._deltas = (
+                stated[2] == "relative" if stated[2] else word == "timestamps" and self._deltas
+            )
+            report.time_base = "delta" if self._deltas else report.time_base
             return
-        date = re.match(r"date\s+(.*)\Z", text, re.IGNORECASE)
-        if date:
-            start_ns = parse_date(date[1])
+        if word == "date":
+            start_ns = parse_date(text[4:])
             if start_ns is None:
-                report.note(f"date {date[1][:40]!r} was not understood; times count from the start")
-            self._count_from(start_ns)
+                expected = "expected one as date Sat Sep 30 10:06:13.191 2017"
+                raise InputError(f"{report.path}: line {number}: {text[:60]!r}; {expected}")
+            if self._measuring:
+                self._measuring, self._further, self._last_ns = False, True, 0
+            self._count_from(start_ns, number)
             return
         block = re.match(r"begin\s+triggerblock\b(.*)\Z", text, re.IGNORECASE)
         if block:
@@ -237,11 +304,15 @@ class AscReader(TextReader):
         ):
             raise ValueError(f"{text[:40]!r} is no ASC line")
 
-    def _count_from(self, start_ns: int | None) -> None:
+    def _count_from(self, start_ns: int, number: int) -> None:
         """Set the start of the measurement, which a header states without a zone."""
-        self._report.start_ns = start_ns
-        if start_ns is not None:
-            self._report.note(ZONE_NOTE)
+        self._report.note(ZONE_NOTE)
+        if not self._further:
+            self._report.start_ns = start_ns
+        elif self._report.time_base == "absolute":
+            self._origin_ns = start_ns
+        else:
+            self._origin_ns = self._report.further(start_ns, Location("", line=number))
 
 
 class AscWriter(RelativeWriter):

@@ -27,11 +27,11 @@ class BlfReader:
         self._source = source
         self._report = report
         self._tail = b""
-        self._start_ns = 0
+        self._start_ns = self._stated_end = 0
 
     def __iter__(self) -> Iterator[Batch]:
         report = self._report
-        offset, stated_size = self._header()
+        offset = self._header()
         data = b""
         while block := self._source.read(max(1 << 18, len(data))):
             data += block
@@ -47,8 +47,8 @@ class BlfReader:
         offset += len(data)
         if self._tail.strip(b"\x00"):
             report.cut(Location("the log ends inside an object", byte=offset))
-        if stated_size > offset:
-            reason = f"the header states {stated_size} bytes, more than there are"
+        if self._stated_end > offset:
+            reason = f"the header states {self._stated_end} bytes, more than there are"
             report.cut(Location(reason, byte=offset))
 
     def _objects(self, data: bytes, offset: int, container: int = 0) -> Generator[Batch, None, int]:
@@ -64,6 +64,11 @@ class BlfReader:
                 frames.append(frame)
                 locations.append(container or offset + pos)
                 pos += layout.PLAIN.size
+            if not container and (mark := data.find(b"LOGG", pos, pos + 8)) >= 0:
+                if end - mark < layout.FILE_HEADER_SIZE:
+                    break
+                pos = mark + self._further(data, mark, offset)
+                continue
             begin, mark = pos, data.find(b"LOBJ", pos, pos + 8)
             if mark < 0 and end - pos < 8:
                 pos = pos if data[pos:].strip(b"\x00") else end
@@ -115,23 +120,34 @@ class BlfReader:
         if not container:
             self._drop_tail()
 
-    def _header(self) -> tuple[int, int]:
-        """Read the file header; return its size, and the stated size of the file."""
+    def _header(self) -> int:
+        """Read the file header; return its size. Raises InputError for a file of another format."""
         header = self._exactly(layout.FILE_HEADER.size)
         if len(header) < layout.FILE_HEADER.size or header[:4] != b"LOGG":
             raise InputError(f"{self._report.path}: byte 0: no BLF header; expected a BLF log")
-        fields = layout.FILE_HEADER.unpack_from(header)
-        size, stated_size = fields[1], fields[10]
-        if not layout.FILE_HEADER.size <= size <= 4096:
-            self._report.skip(Location(f"a file header of {size} bytes", byte=4))
-            size = layout.FILE_HEADER_SIZE
+        size, self._stated_end, self._start_ns = self._stated(header, 0)
         self._exactly(size - layout.FILE_HEADER.size)
-        self._start_ns = layout.read_systemtime(fields[14:22])
         self._report.start_ns = self._start_ns or None
         self._report.time_base = time_base(self._start_ns)
         if self._start_ns:
             self._report.note(ZONE_NOTE)
-        return size, stated_size
+        return size
+
+    def _stated(self, header: bytes, offset: int) -> tuple[int, int, int]:
+        """Return the size of a header at an offset, the file's end and its start in ns, as stated."""
+        fields = layout.FILE_HEADER.unpack_from(header)
+        size, end = fields[1], offset + fields[10]
+        if not layout.FILE_HEADER.size <= size <= 4096:
+            self._report.skip(Location(f"a file header of {size} bytes", byte=offset + 4))
+            size = layout.FILE_HEADER_SIZE
+        return size, end, layout.read_systemtime(fields[14:22])
+
+    def _further(self, data: bytes, pos: int, offset: int) -> int:
+        """Begin a second measurement, as joined files have it; return the size of its header."""
+        self._drop_tail()
+        size, self._stated_end, self._start_ns = self._stated(data[pos:], offset + pos)
+        self._report.further(self._start_ns or None, Location("", byte=offset + pos))
+        return size
 
     def _exactly(self, size: int) -> bytes:
         """Return the next bytes, fewer at the end of the file."""

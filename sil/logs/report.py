@@ -130,6 +130,19 @@ class LogReport:
         if self.strict:
             raise InputError(f"{self.path}: {location}; expected a log that is not cut off")
 
+    def further(self, start_ns: int | None, location: Location) -> int:
+        """Return where a second measurement in one file begins, from the first one's start.
+
+        Raises InputError if the start of one of them is not known.
+        """
+        location = replace(location, reason="a second measurement begins")
+        if self.start_ns is None or start_ns is None:
+            raise InputError(
+                f"{self.path}: {location}, and not both have a date; expected a file for each"
+            )
+        self.note(f"{location}: its times count from its own date")
+        return start_ns - self.start_ns
+
     def note(self, text: str) -> None:
         """Add a remark, each only once."""
         if text not in self.notes and len(self.notes) < MOST_LOCATIONS:

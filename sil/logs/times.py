@@ -76,7 +76,7 @@ def utc_calendar(time_ns: int) -> datetime:
 def parse_date(text: str) -> int | None:
     """Return the nanoseconds since 1970 of `Sat Sep 30 10:06:13.191 PM 2017` and the like, or None.
 
-    Weekday in any language, month in English or German, 12 or 24 hours; the zone is not written
+    Weekday in any language, month in English, German or Swedish, 12 or 24 hours; the zone is not written
     and taken as UTC.
     """
     match = re.match(
@@ -88,7 +88,7 @@ def parse_date(text: str) -> int | None:
     if match is None:
         return None
     name = match[1].lower()
-    german = {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
+    german = {"mär": 3, "mrz": 3, "mai": 5, "maj": 5, "okt": 10, "dez": 12}
     month = _MONTHS.index(name) + 1 if name in _MONTHS else german.get(name, 0)
     hour = int(match[3])
     half = (match[7] or "").lower()

@@ -20,6 +20,7 @@ from sil.logs.format import (
     time_base,
 )
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
+from sil.logs.report import Location
 from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, utc_ns
 from sil.logs.writer import RelativeWriter
@@ -62,6 +63,7 @@ class TrcReader(TextReader):
     _version = ""
     _columns: Sequence[str] = ()
     _origin_ns: int | None = None
+    _measuring = False
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         if self._version == "2.1" and ",".join(self._columns) != _DEFAULT_COLUMNS["2.1"]:
@@ -77,8 +79,9 @@ class TrcReader(TextReader):
         if not text:
             return None
         if text[0] == ";":
-            self._header(text)
+            self._header(text, line.number)
             return None
+        self._measuring = True
         first = _VERSION_1.match(text)
         if first:
             return self._version_1(first)
@@ -86,7 +89,7 @@ class TrcReader(TextReader):
             return self._version_2(text)
         raise ValueError(f"{text[:40]!r} is no TRC line")
 
-    def _header(self, text: str) -> None:
+    def _header(self, text: str, number: int) -> None:
         report = self._report
         name, _, value = text.partition("=")
         if name == ";$FILEVERSION":
@@ -100,7 +103,8 @@ class TrcReader(TextReader):
             days_ns = parse_decimal_ns(value.strip(), _DAY_NS)
             self._origin_ns = days_ns - _EPOCH_DAYS * _DAY_NS
             report.time_base = time_base(self._origin_ns)
-            report.start_ns = self._origin_ns if report.time_base == "absolute" else None
+            if report.start_ns is None and report.time_base == "absolute":
+                report.start_ns = self._origin_ns
         elif name == ";$COLUMNS":
             columns = [column.strip() for column in value.split(",")]
             needed = {"O", "T", "I", "D"} <= set(columns) and {"l", "L"} & set(columns)
@@ -110,13 +114,17 @@ class TrcReader(TextReader):
                 )
             self._columns = columns
             report.note(ZONE_NOTE)
-        elif report.start_ns is None:
+        elif self._version in ("", "1.0") or report.start_ns is None:
             date = r"(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
             start = re.match(rf";\s*Start time:\s*{date}", text)
             if start:
                 day, month, year, hour, minute, second, milli = map(int, start.groups())
-                report.start_ns = utc_ns(year, month, day, hour, minute, second, milli * NS_PER_MS)
+                start_ns = utc_ns(year, month, day, hour, minute, second, milli * NS_PER_MS)
                 report.note(ZONE_NOTE)
+                if self._measuring and self._version in ("", "1.0"):
+                    self._origin_ns = report.further(start_ns, Location("", line=number))
+                else:
+                    report.start_ns = start_ns
 
     def _time(self, text: str) -> int:
         """Milliseconds from the start as nanoseconds from 1970 or from the start."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, LogReport, convert, open_log, open_writer
+from sil.logs import LogFrame, LogReport, convert, open_log, open_logs, open_writer
 from sil.logs.asc import parse_event
 from sil.logs.format import ZONE_NOTE, NotAFrame
 from sil.logs.frame import require_possible
@@ -279,3 +280,75 @@ def test_decimal_length_codes_of_canfd_lines_are_read(tmp_path: Path) -> None:
     assert [len(frame.data) for frame in frames] == [12, 16, 32, 64]
     assert report.skipped == 0
     assert any("length codes of CANFD lines are decimal" in note for note in report.notes)
+
+
+FRAME_291 = "   0.1 1  291  Rx d 2 {}\n"
+
+
+@pytest.mark.parametrize(
+    ("base", "data", "can_id", "content"),
+    [
+        ("base dec  no internal events logged", "017 255", 291, b"\x11\xff"),
+        ("base dec timestamps absolute  internal events logged", "17 255", 291, b"\x11\xff"),
+        ("no internal events logged", "11 FF", 0x291, b"\x11\xff"),
+        ("base hex\ntimestamps relative", "11 FF", 0x291, b"\x11\xff"),
+    ],
+)
+def test_forms_of_the_base_line(
+    tmp_path: Path, base: str, data: str, can_id: int, content: bytes
+) -> None:
+    frames, report = read_text(tmp_path, f"{base}\n" + FRAME_291.format(data))
+    assert [(f.can_id, f.data) for f in frames] == [(can_id, content)]
+    assert (report.time_base == "delta") == ("relative" in base)
+
+
+def test_canfd_lines_have_the_base_of_the_header(tmp_path: Path) -> None:
+    line = "   0.1 CANFD 1 Rx 291 1 0 2 2 017 255 0 0 1000 0 0 0 0 0\n"
+    (frame,), _ = read_text(tmp_path, f"base dec  timestamps absolute\n{line}")
+    assert (frame.can_id, frame.data, frame.fd) == (291, b"\x11\xff", True)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("base octal\n" + FRAME_291.format("11 22"), "line 1: 'base octal'; expected base hex"),
+        ("date yesterday\nbase hex\n", "line 1: 'date yesterday'; expected one as date Sat"),
+        (FRAME_291.format("017 255"), "line 1: its bytes are not hex, .* expected base dec"),
+        ("base dec\n" + FRAME_291.format("11 FF"), "line 2: its bytes are not decimal"),
+    ],
+)
+def test_a_header_that_is_not_understood_or_contradicted_is_refused(
+    tmp_path: Path, text: str, why: str
+) -> None:
+    with pytest.raises(InputError, match=why):
+        read_text(tmp_path, text)
+
+
+@pytest.mark.parametrize("lines", [1, 3000])
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc"])
+def test_joined_logs_keep_the_date_of_each(tmp_path: Path, suffix: str, lines: int) -> None:
+    day_ns, start_ns = 86_400 * 10**9, utc_ns(2024, 3, 1)
+    content = b""
+    for number in range(2):
+        path = tmp_path / f"{number}{suffix}"
+        with open_writer(path) as writer:
+            for k in range(lines):
+                time_ns = start_ns + number * day_ns + k * 1_000_000
+                writer.write(LogFrame(time_ns, 0x123, b"\x01", False, channel="1", direction="Rx"))
+        content += path.read_bytes()
+    whole = tmp_path / f"whole{suffix}"
+    # as another tool writes it, without our time origin
+    whole.write_bytes(re.sub(rb"// time origin [^\n]*\n", b"", content))
+    log = open_logs([whole])
+    times_ns = [frame.time_ns for frame in log]
+    assert times_ns[0] == start_ns and times_ns[lines] == start_ns + day_ns
+    assert len(times_ns) == 2 * lines and log.report.clean
+    assert (
+        any("a second measurement begins" in note for note in log.report.notes) or suffix == ".trc"
+    )
+
+
+def test_a_second_measurement_without_a_date_is_refused(tmp_path: Path) -> None:
+    text = "base hex\n   0.1 1  291  Rx d 1 11\n" + HEADER + "   0.1 1  291  Rx d 1 11\n"
+    with pytest.raises(InputError, match="line 3: a second measurement begins, and not both have"):
+        read_text(tmp_path, text)
