@@ -1,7 +1,7 @@
 """Convert logs of frames between candump, ASC, BLF, TRC, MF4 and CSV, and traces to MF4.
 
 The formats follow from the names; .gz packs. Several logs become one, ordered by time; - is standard
-input. What is broken in a log is counted, located and left out, or refused with --strict. With --dbc
+input or output. What is broken in a log is counted, located and left out, or refused with --strict. With --dbc
 the signals are decoded: to CSV (one row per value), MF4 or parquet.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +45,12 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.j1939.decode import decode
     from sil.logs.convert import convert
 
-    if Path(arguments.target).exists() and not arguments.force:
+    if arguments.target == "-" and arguments.json:
+        raise InputError(
+            "--json: not with OUT -, which is standard output too; expected one of them"
+        )
+    path = Path(arguments.target)
+    if path.exists() and not path.is_fifo() and not arguments.force:
         raise InputError(f"{arguments.target}: exists; expected a new name, or --force")
     how = reading(arguments) | {"format": arguments.source_format}
     report: ConvertReport | DecodeReport
@@ -56,5 +62,5 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(report.as_dict(), ensure_ascii=False))
     else:
-        print("\n".join(report.lines()))
+        print("\n".join(report.lines()), file=sys.stderr if arguments.target == "-" else sys.stdout)
     return 0

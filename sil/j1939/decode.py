@@ -21,6 +21,7 @@ from can_dbc.dbc import load_dbc
 from can_dbc.errors import InputError
 from can_dbc.frame import split_id
 from sil.files.quantity import counted
+from sil.j1939.layout import MessageLayout, is_unavailable
 from sil.j1939.mapping import ANY_SOURCE
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
@@ -46,12 +47,18 @@ class Decoded(NamedTuple):
     channel: str
     message: Message
     source: int | None
-    values: dict[str, float]
+    layout: MessageLayout
+    values: dict[str, float | int]
 
 
 @dataclass
 class DecodeReport:
-    """What was decoded: unknown are frames of identifiers that the database does not have."""
+    """What was decoded, and what was not.
+
+    unknown: frames of identifiers that the database does not have; broken: frames that cannot be
+    decoded; short: frames that lack signals of their message; unavailable: values that the sender does
+    not have, by signal; problems: of the database.
+    """
 
     source: str
     target: str
@@ -60,12 +67,18 @@ class DecodeReport:
     messages: Counter[str] = field(default_factory=Counter)
     values: int = 0
     broken: Counter[str] = field(default_factory=Counter)
+    short: Counter[str] = field(default_factory=Counter)
+    unavailable: Counter[str] = field(default_factory=Counter)
+    problems: list[str] = field(default_factory=list)
     unknown: Counter[str] = field(default_factory=Counter)
     transport: Assembler = field(default_factory=Assembler)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
-        names = ("source", "target", "database", "values", "messages", "broken", "unknown")
+        names = (
+            *("source", "target", "database", "values", "messages", "broken", "short"),
+            *("unavailable", "problems", "unknown"),
+        )
         return {name: getattr(self, name) for name in names} | {
             "long_messages": self.transport.assembled,
             "long_messages_lost": self.transport.lost,
@@ -78,7 +91,12 @@ class DecodeReport:
             f"{self.target}: {counted(self.values, 'value')} of {counted(self.messages.total(), 'message')} "
             f"({', '.join(f'{n} {name}' for name, n in self.messages.most_common())})"
         ]
+        lines += [f"{self.database}: {problem}" for problem in self.problems]
         lines += [f"not decoded: {n} {name}" for name, n in self.broken.items()]
+        lines += [f"too short: {n} {name}" for name, n in self.short.items()]
+        if self.unavailable:
+            names = ", ".join(f"{name} ({n})" for name, n in self.unavailable.most_common())
+            lines.append(f"not available, left out: {self.unavailable.total()} values: {names}")
         if self.unknown:
             shown = ", ".join(f"{name} ({n})" for name, n in self.unknown.most_common(_SHOWN))
             more = ", ..." if len(self.unknown) > _SHOWN else ""
@@ -99,6 +117,7 @@ class Decoder:
         j1939 = "ProtocolType" in specifics and str(specifics["ProtocolType"].value) == "J1939"
         self._exact: dict[tuple[int, bool], Message] = {}
         self._groups: dict[int, Message] = {}
+        self._layouts: dict[str, MessageLayout] = {}
         for message in database.messages:
             can_id, extended = message.frame_id, message.is_extended_frame
             self._exact[can_id, extended] = message
@@ -134,23 +153,30 @@ class Decoder:
     def _signals(
         self, message: Message, frame: LogFrame, source: int | None, data: bytes
     ) -> Decoded | None:
+        report = self._report
+        layout = self._layouts.get(message.name)
+        if layout is None:
+            layout = self._layouts[message.name] = MessageLayout(message)
+            report.problems += layout.problems
         try:
-            raw = message.decode(data, decode_choices=False, scaling=False, allow_truncated=True)
-            assert isinstance(raw, dict)
-            values = {
-                signal.name: float(signal.conversion.raw_to_scaled(raw[signal.name], False))
-                for signal in message.signals
-                if signal.name in raw
-                and not (source is not None and raw[signal.name] == (1 << signal.length) - 1)
-            }
-        except (
-            Exception
-        ):  # cantools declares none; a multiplexer without such a branch, too few bytes
-            self._report.broken[f"{message.name} of {len(data)} bytes"] += 1
+            raw = layout.decode(data)
+        except Exception:  # cantools declares none; a multiplexer without such a branch
+            report.broken[f"{message.name} of {len(data)} bytes"] += 1
             return None
-        self._report.messages[message.name] += 1
-        self._report.values += len(values)
-        return Decoded(frame.time_ns, frame.channel, message, source, values)
+        if len(data) < message.length:
+            name = f"{message.name} of {len(data)} bytes in place of {message.length}"
+            report.short[name] += 1
+        values: dict[str, float | int] = {}
+        for one in layout.fields:
+            if one.name not in raw:
+                continue
+            if source is not None and is_unavailable(one.signal, raw[one.name]):
+                report.unavailable[f"{message.name}.{one.name}"] += 1
+                continue
+            values[one.name] = one.signal.conversion.raw_to_scaled(raw[one.name], False)
+        report.messages[message.name] += 1
+        report.values += len(values)
+        return Decoded(frame.time_ns, frame.channel, message, source, layout, values)
 
 
 _Take = Callable[[Sequence[Decoded]], None]
@@ -159,10 +185,11 @@ _Take = Callable[[Sequence[Decoded]], None]
 
 def _rows(
     batch: Sequence[Decoded],
-) -> Iterator[tuple[int, str, str, int | None, str, float, str, str]]:
-    for time_ns, channel, message, source, values in batch:
-        for name, value in values.items():
-            signal = message.get_signal_by_name(name)
+) -> Iterator[tuple[int, str, str, int | None, str, float | int, str, str]]:
+    for time_ns, channel, message, source, layout, values in batch:
+        for name, signal, _ in layout.fields:
+            if (value := values.get(name)) is None:
+                continue
             choices = signal.choices or {}
             text = str(choices.get(int(value), "")) if value == int(value) else ""
             yield time_ns, channel, message.name, source, name, value, signal.unit or "", text
@@ -196,7 +223,8 @@ def _parquet(path: str, file: BinaryIO) -> Iterator[_Take]:
     with arrow.parquet.ParquetWriter(file, schema) as writer:
 
         def take(batch: Sequence[Decoded]) -> None:
-            columns = list(zip(*_rows(batch), strict=True)) or [()] * len(COLUMNS)
+            rows = ((*row[:5], float(row[5]), *row[6:]) for row in _rows(batch))
+            columns = list(zip(*rows, strict=True)) or [()] * len(COLUMNS)
             arrays = [arrow.array(c, kind) for c, kind in zip(columns, kinds, strict=True)]
             writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
 
@@ -236,8 +264,10 @@ class _Mf4:
             parts.setdefault((one.message.name, one.source, one.channel), []).append(one)
         for key, part in parts.items():
             times_s = np.array([one.time_ns - self._start_ns for one in part]) / 1e9
-            signals = part[0].message.signals
-            columns = [np.array([one.values.get(s.name, np.nan) for one in part]) for s in signals]
+            fields = part[0].layout.fields
+            columns = [
+                np.array([float(one.values.get(f.name, np.nan)) for one in part]) for f in fields
+            ]
             if key in self._groups:
                 samples = [(column, None) for column in (times_s, *columns)]
                 self.measurement.extend(self._groups[key], samples)
@@ -247,9 +277,13 @@ class _Mf4:
             title += f" on {channel}" if channel else ""
             made = [
                 self._asammdf.Signal(
-                    column, times_s, name=s.name, unit=s.unit or "", comment=s.comment or ""
+                    column,
+                    times_s,
+                    name=f.name,
+                    unit=f.signal.unit or "",
+                    comment=f.signal.comment or "",
                 )
-                for s, column in zip(signals, columns, strict=True)
+                for f, column in zip(fields, columns, strict=True)
             ]
             self._groups[key] = len(self._groups)
             self.measurement.append(made, acq_name=title, comment=title, common_timebase=True)
@@ -281,7 +315,7 @@ def decode(
         For what cannot be read or written, and if the log has no message of the database.
     """
     path = os.fspath(target)
-    kind = os.path.splitext(path.removesuffix(".gz"))[1].lower()
+    kind = os.path.splitext(path.removesuffix(".gz"))[1].lower() if path != "-" else ".csv"
     if kind not in _TABLES or (path.endswith(".gz") and kind != ".csv"):
         raise InputError(
             f"{path}: --dbc decodes signals; expected OUT .csv, .csv.gz, .mf4 or .parquet"
@@ -295,6 +329,12 @@ def decode(
             take(batch)
         report.transport.finish()
         report.read = log.report
+        if not report.messages and report.broken:
+            name, count = report.broken.most_common(1)[0]
+            raise InputError(
+                f"{log.path}: none of its {report.read.frames} frames can be decoded, {count} are {name}; "
+                f"expected frames as {report.database} describes them"
+            )
         if not report.messages:
             raise InputError(
                 f"{log.path}: none of its {report.read.frames} frames is of a message in "

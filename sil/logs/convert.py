@@ -12,7 +12,6 @@ from sil.files.quantity import counted
 from sil.logs.merged import Reading, open_logs
 from sil.logs.registry import open_writer
 from sil.logs.report import LogReport
-from sil.logs.source import STANDARD_INPUT
 
 if TYPE_CHECKING:
     from sil.logs.traces import TraceReport
@@ -81,7 +80,7 @@ def convert(
         if os.path.exists(target) and os.path.exists(source) and os.path.samefile(source, target):
             raise InputError(f"{target}: is the source itself; expected another name")
     name = ", ".join(names)
-    if how.get("format") is None and len(names) == 1 and name != STANDARD_INPUT:
+    if how.get("format") is None and len(names) == 1 and os.path.isfile(name):
         signals = _signals(name, target)
         if signals is not None:
             return ConvertReport(name, target, signals=signals, written=signals.rows)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from itertools import chain
 from operator import lt
+from tempfile import _TemporaryFileWrapper
 
 from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format
@@ -26,8 +27,17 @@ class LogReader:
     or record, every step of the clock backwards, every duplicate, and a log that is cut off.
     """
 
-    def __init__(self, path: str, format: Format, *, strict: bool, times: str) -> None:
+    def __init__(
+        self,
+        path: str,
+        format: Format,
+        *,
+        strict: bool,
+        times: str,
+        copy: _TemporaryFileWrapper[bytes] | None = None,
+    ) -> None:
         self.path = path
+        self._copy = copy
         self.passed_bytes = 0.0
         """How much of the file the reading under way has read."""
 
@@ -49,7 +59,7 @@ class LogReader:
         report = self.report = LogReport(self.path, self.format, strict=self._strict)
         lockstep = LockstepFilter(report)
         watch = _Watch(report, self._format.location)
-        source = ByteSource(self.path, report)
+        source = ByteSource(self.path, report, self._copy.name if self._copy else None)
         try:
             for batch in map(lockstep.take, self._format.read(source, report, self._times)):
                 watch.take(batch)

@@ -11,7 +11,7 @@ from sil.logs import asc, blf, candump, csv_log, mf4, trc
 from sil.logs.format import Format
 from sil.logs.reader import LogReader
 from sil.logs.report import LogReport
-from sil.logs.source import ByteSource
+from sil.logs.source import STANDARD_INPUT, ByteSource, copy_of_stream
 from sil.logs.writer import LogWriter
 
 _MODULES: Final = (blf, mf4, trc, asc, csv_log, candump)
@@ -88,7 +88,8 @@ def open_log(
     if times not in ("auto", "delta", "recorded"):
         raise InputError(f"{name}: times {times!r}; expected auto, delta or recorded")
     log_format = None if format is None else _format_named(format)
-    source = ByteSource(name, LogReport(name, "unknown"))
+    copy = copy_of_stream(name)
+    source = ByteSource(name, LogReport(name, "unknown"), copy.name if copy else None)
     source.close()
     if log_format is None:
         recognised = (one for one in FORMATS.values() if one.recognise(source.head))
@@ -101,7 +102,7 @@ def open_log(
             f"{name}: neither content nor name is that of a log; expected one of "
             f"{', '.join(FORMATS)}"
         )
-    return LogReader(name, log_format, strict=strict, times=times)
+    return LogReader(name, log_format, strict=strict, times=times, copy=copy)
 
 
 def open_writer(path: str | os.PathLike[str], *, format: str | None = None) -> LogWriter:
@@ -121,6 +122,8 @@ def open_writer(path: str | os.PathLike[str], *, format: str | None = None) -> L
     """
     name = os.fspath(path)
     log_format = _format_of_name(name) if format is None else _format_named(format)
+    if log_format is None and name == STANDARD_INPUT:
+        raise InputError(f"-: of which format? expected --to, one of {', '.join(FORMATS)}")
     if log_format is None:
         suffixes = ", ".join(suffix for one in FORMATS.values() for suffix in one.suffixes)
         raise InputError(f"{name}: its suffix is of no log format; expected one of {suffixes}")

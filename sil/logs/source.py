@@ -6,6 +6,7 @@ import functools
 import gzip
 import os
 import shutil
+import stat
 import sys
 import tempfile
 import zlib
@@ -20,8 +21,8 @@ CHUNK_BYTES: Final = 1 << 15
 LONGEST_LINE: Final = 1 << 16
 """A longer line is no line of a log; its excess is dropped so that memory stays bounded."""
 
-_LARGEST_RATIO: Final = 100
-"""Logs, whose times never repeat, pack to a tenth; a larger file beyond this is no log."""
+MOST_UNPACKED_BYTES: Final = 16 << 30
+"""Of a packed file; it bounds the time of reading, memory is bounded anyway. Plain files have no limit."""
 _NOT_LOGS: Final = {
     b"PK\x03\x04": "a zip archive",
     b"BZh": "a bzip2 archive",
@@ -36,9 +37,10 @@ _NOT_LOGS: Final = {
 class ByteSource:
     """The bytes of a file, unpacked; `head` holds the first of them, `packed` if it is gzipped."""
 
-    def __init__(self, path: str, report: LogReport) -> None:
+    def __init__(self, path: str, report: LogReport, copy: str | None = None) -> None:
         """Open a file; a gzip file that is cut off or damaged goes to the report.
 
+        copy: the file that holds what came from standard input or a FIFO.
         Raises InputError if the file cannot be opened or is known to be no log.
         """
         self.path = path
@@ -47,13 +49,9 @@ class ByteSource:
         self.share: float | None = None
         """How much of the file was read, if its reader does not read it in order."""
 
+        refuse_special(path, "a log file, or - for standard input")
         try:
-            if path == STANDARD_INPUT:
-                path = _standard_input().name
-            elif os.path.exists(path) and not os.path.isfile(path):
-                kind = "a folder" if os.path.isdir(path) else "a pipe or device"
-                raise InputError(f"{path}: is {kind}; expected a log file, or - for standard input")
-            self.file: BinaryIO = open(path, "rb")  # noqa: SIM115 closed by close()
+            self.file: BinaryIO = open(copy or path, "rb")  # noqa: SIM115 closed by close()
             self.size = os.fstat(self.file.fileno()).st_size
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}; expected a readable log file") from None
@@ -92,10 +90,10 @@ class ByteSource:
                 f"{self.path}: {error.strerror}; expected a readable log file"
             ) from None
         self._unpacked += len(block)
-        if self.packed and self._unpacked > max(1 << 20, _LARGEST_RATIO * self.file.tell()):
+        if self.packed and self._unpacked > MOST_UNPACKED_BYTES:
             raise InputError(
-                f"{self.path}: unpacks to over {_LARGEST_RATIO} times its size, as no log does; "
-                "expected a readable log file"
+                f"{self.path}: unpacks to over {MOST_UNPACKED_BYTES >> 30} GiB; expected less, or the file "
+                "unpacked"
             )
         return block
 
@@ -109,11 +107,38 @@ class ByteSource:
         self.file.close()
 
 
+def refuse_special(path: str, expected: str) -> None:
+    """Refuse a folder or a device; files and FIFOs may be read and written. Raises InputError."""
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):  # opening it names what is wrong
+        return
+    if not stat.S_ISREG(mode) and not stat.S_ISFIFO(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a device"
+        raise InputError(f"{path}: is {kind}; expected {expected}")
+
+
 @functools.cache
 def _standard_input() -> tempfile._TemporaryFileWrapper[bytes]:
-    """Return a temporary file with what standard input gave: logs are read more than once."""
-    copy = tempfile.NamedTemporaryFile(prefix="opc4-")  # noqa: SIM115 deleted at the end of the process
-    shutil.copyfileobj(sys.stdin.buffer, copy, 1 << 20)
+    return _copy(sys.stdin.buffer)
+
+
+def copy_of_stream(path: str) -> tempfile._TemporaryFileWrapper[bytes] | None:
+    """Return a file with what standard input or a FIFO gave, since logs are read more than once.
+
+    None for other files.
+    """
+    if path == STANDARD_INPUT:
+        return _standard_input()
+    if not os.path.exists(path) or not stat.S_ISFIFO(os.stat(path).st_mode):
+        return None
+    with open(path, "rb") as fifo:
+        return _copy(fifo)
+
+
+def _copy(stream: BinaryIO) -> tempfile._TemporaryFileWrapper[bytes]:
+    copy = tempfile.NamedTemporaryFile(prefix="opc4-")  # noqa: SIM115 deleted with its last user
+    shutil.copyfileobj(stream, copy, 1 << 20)
     copy.flush()
     return copy
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gzip
-import os
 import shutil
 import tempfile
 from abc import ABC, abstractmethod
@@ -16,6 +15,7 @@ from typing import BinaryIO, Self
 from can_dbc.errors import InputError
 from sil.files.atomic import NewFile
 from sil.logs.frame import LogFrame, all_ordinary, require_possible
+from sil.logs.source import refuse_special
 from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
 
 
@@ -48,9 +48,7 @@ class LogWriter(ABC):
         self._held: list[LogFrame] = []
         self._begun = self._closed = False
         self._known_channels: set[str] = set()
-        if os.path.exists(path) and not os.path.isfile(path):
-            kind = "a folder" if os.path.isdir(path) else "a pipe or device"
-            raise InputError(f"{path}: is {kind}; expected the name of a file")
+        refuse_special(path, "the name of a file")
         try:
             self._new = NewFile(Path(path))
             self._out = self._opened()

@@ -128,3 +128,58 @@ def test_what_cannot_be_decoded_is_refused_or_counted(log: Path) -> None:
     with pytest.raises(InputError, match="none of its 11 frames is of a message in"):
         decode([log], log.with_name("s.csv"), dbc)
     assert not log.with_name("s.csv").exists()
+
+
+ODD = """\
+VERSION ""
+BU_: A
+BO_ 291 Over: 2 A
+ SG_ X : 0|8@1+ (1,0) [0|255] "" A
+ SG_ Y : 4|8@1+ (1,0) [0|255] "" A
+BO_ 292 Out: 2 A
+ SG_ X : 0|8@1+ (1,0) [0|255] "" A
+ SG_ Z : 12|8@1+ (1,0) [0|255] "" A
+BO_ 293 Twice: 2 A
+ SG_ X : 0|8@1+ (1,0) [0|255] "" A
+ SG_ X : 8|8@1+ (1,0) [0|255] "" A
+BO_ 294 Big: 8 A
+ SG_ N : 0|64@1+ (1,0) [0|1] "" A
+BO_ 2566844926 Flags: 2 A
+ SG_ One : 0|1@1+ (1,0) [0|1] "" A
+ SG_ Two : 1|2@1+ (1,0) [0|3] "" A
+ SG_ Three : 3|3@1+ (1,0) [0|7] "" A
+ SG_ Named : 6|2@1+ (1,0) [0|3] "" A
+ SG_ Byte : 8|8@1+ (1,0) [0|250] "" A
+VAL_ 2566844926 Named 3 "locked" ;
+"""
+
+
+def test_a_database_that_contradicts_itself_is_decoded_as_far_as_it_goes(tmp_path: Path) -> None:
+    (tmp_path / "odd.dbc").write_text(ODD)
+    frames = [(0x123, b"\x12\x34"), (0x124, b"\x12\x34"), (0x125, b"\x12\x34")]
+    frames += [(0x126, (2**63 + 1).to_bytes(8, "little")), (0x123, b"\x12")]
+    with open_writer(tmp_path / "a.log") as writer:
+        for n, (can_id, data) in enumerate(frames):
+            writer.write(LogFrame(n, can_id, data, False))
+        writer.write(LogFrame(9, 0x18FF0F00 | 0x03, b"\xff\xff"))
+    (tmp_path / "odd.dbc").write_text(ODD.replace("2566844926", str(0x98FF0FFE)))
+    report = decode([tmp_path / "a.log"], tmp_path / "s.csv", tmp_path / "odd.dbc")
+    with (tmp_path / "s.csv").open() as file:
+        rows = [(r["message"], r["signal"], r["value"], r["text"]) for r in csv.DictReader(file)]
+    assert rows == [
+        ("Over", "X", "18", ""),
+        ("Over", "Y", "65", ""),
+        ("Out", "X", "18", ""),
+        ("Twice", "X", "18", ""),
+        ("Twice", "X (bit 8)", "52", ""),
+        ("Big", "N", str(2**63 + 1), ""),
+        ("Over", "X", "18", ""),
+        ("Flags", "One", "1", ""),
+        ("Flags", "Three", "7", ""),
+        ("Flags", "Named", "3", "locked"),
+    ]
+    text = "\n".join(report.lines())
+    assert "signal Z of Out is not decoded: it leaves the message's 2 bytes" in text
+    assert "a second signal X of Twice: as 'X (bit 8)'" in text
+    assert "too short: 1 Over of 1 bytes in place of 2" in text
+    assert "not available, left out: 2 values: Flags.Two (1), Flags.Byte (1)" in text

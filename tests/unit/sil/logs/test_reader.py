@@ -7,11 +7,15 @@ import gzip
 import json
 import os
 import resource
+import subprocess
+import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import pytest
 
+from can_dbc.contract import DBC_PATH
 from can_dbc.errors import InputError
 from sil.logs import FORMATS, LogFrame, open_log, open_writer
 
@@ -147,16 +151,31 @@ def test_unknown_formats_and_names(tmp_path: Path) -> None:
         open_writer(tmp_path / "missing" / "log.log")
 
 
-def test_devices_and_pipes_are_refused(tmp_path: Path) -> None:
+def test_devices_are_refused() -> None:
     """They would be read without an end, or replaced by the log."""
-    fifo = tmp_path / "log.log"
-    os.mkfifo(fifo)
-    for path in (fifo, Path("/dev/zero"), Path("/dev/full")):
-        with pytest.raises(InputError, match=r"is a pipe or device; expected a log file, or -"):
+    for path in ("/dev/zero", "/dev/full"):
+        with pytest.raises(InputError, match=r"is a device; expected a log file, or -"):
             open_log(path, format="candump")
-        with pytest.raises(InputError, match=r"is a pipe or device; expected the name of a file$"):
+        with pytest.raises(InputError, match=r"is a device; expected the name of a file$"):
             open_writer(path, format="candump")
-    assert fifo.is_fifo()
+
+
+@pytest.mark.parametrize("more", [[], ["--dbc", DBC_PATH]])
+def test_logs_come_from_and_go_to_pipes(tmp_path: Path, more: list[str]) -> None:
+    log = tmp_path / "a.log"
+    with open_writer(log) as writer:
+        writer.write(LogFrame(0, 0xCFF0005, bytes(8), channel="can0"))
+    to = ["--to", "candump"] if not more else []
+    command = [sys.executable, "-m", "sil.cli", "convert", "-", "-", *to, *more]
+    done = subprocess.run(command, input=log.read_bytes(), capture_output=True, check=True)
+    assert done.stdout == log.read_bytes() if to else b"ShiftRequest" in done.stdout
+    assert b"1 frame" in done.stderr
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    feeder = threading.Thread(target=fifo.write_bytes, args=(log.read_bytes(),))
+    feeder.start()
+    assert len(list(open_log(fifo))) == 1
+    feeder.join()
 
 
 @pytest.mark.parametrize("name", FORMATS)
