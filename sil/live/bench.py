@@ -10,9 +10,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
+from itertools import zip_longest
 from operator import getitem
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,15 +24,15 @@ from can_dbc.codec import decode, message_type_of
 from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
 from controller import strategies
+from plant.parameters.bounds import bounds
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.files.overrides import setting_texts
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.recording.trace_csv import held
-from sil.report.figure import MM, MS
-from sil.report.live_figure import comparison_figure
+from sil.report.figure import BAR, MM, MS
+from sil.report.live_figure import bus_stack, comparison_stack
 from sil.report.plots import content, rounded
-from sil.report.run_figure import run_figure
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
@@ -43,23 +45,24 @@ if TYPE_CHECKING:
 LONGEST_S = 20.0
 """Longest run of the page: a request is answered by a run from its beginning."""
 
-SLIDERS: Mapping[str, tuple[str, float, float, float, str]] = {
-    "sensor.delay_s": ("sensor delay", 0.0, 0.03, 1e3, "ms"),
-    "sensor.period_s": ("sensor period", 0.0025, 0.02, 1e3, "ms"),
-    "controller.period_s": ("firmware period", 0.0025, 0.02, 1e3, "ms"),
-    "controller.filter.fc_hz": ("filter corner frequency", 2.0, 50.0, 1.0, "Hz"),
-    "valve.D_rise": ("valve opens after", 0.001, 0.02, 1e3, "ms"),
-    "valve.D_fall": ("valve closes after", 0.001, 0.06, 1e3, "ms"),
-    "bus.extra_load": ("other traffic on the bus", 0.0, 0.9, 100.0, "%"),
-    "plant.supply_pressure_pa": ("supply pressure", 5e5, 1e6, 1e-5, "bar"),
-    "driveline.impulse_backward_n_s": ("synchronizer, backward", 1.0, 250.0, 1.0, "N s"),
-    "driveline.impulse_forward_n_s": ("synchronizer, forward", 1.0, 250.0, 1.0, "N s"),
-    "plant.mesh_force_n": ("teeth", 0.0, 2500.0, 1.0, "N"),
+SLIDERS: Mapping[str, tuple[str, float, str, float, float]] = {
+    "sensor.delay_s": ("sensor delay", MS, "ms", 0.5, 500.0),
+    "sensor.period_s": ("sensor period", MS, "ms", 0.5, 20.0),
+    "controller.period_s": ("firmware period", MS, "ms", 0.5, 20.0),
+    "controller.filter.fc_hz": ("filter corner", 1.0, "Hz", 1.0, 49.0),
+    "valve.D_rise": ("valve opens after", MS, "ms", 0.1, 50.0),
+    "valve.D_fall": ("valve closes after", MS, "ms", 0.5, 100.0),
+    "bus.extra_load": ("other bus traffic", 100.0, "%", 1.0, 300.0),
+    "plant.supply_pressure_pa": ("supply pressure", BAR, "bar", 0.1, 20.0),
+    "driveline.impulse_backward_n_s": ("synchr. backward", 1.0, "N s", 1.0, 300.0),
+    "driveline.impulse_forward_n_s": ("synchr. forward", 1.0, "N s", 1.0, 300.0),
+    "plant.mesh_force_n": ("teeth", 1.0, "N", 50.0, 5000.0),
 }
-"""Path: name, lowest and highest value in SI units, factor to the unit shown, that unit."""
+"""Path: name, factor from SI to the unit shown, that unit, step and end of the slider in it.
+
+A number field takes the model's whole range."""
 
 METRICS = (
-    ("shift_time_s", "request to stop", MS, "ms"),
     ("impact_speed_m_s", "impact speed", 1.0, "m/s"),
     ("impact_energy_j", "impact energy", 1.0, "J"),
     ("position_lag_10_s", "estimate late at 10 %", MS, "ms"),
@@ -113,59 +116,52 @@ def load_asked(asked: Asked, scenarios: Mapping[str, str]) -> Loaded:
     return loaded
 
 
-def run_shift(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
-    """Return a run as the tabs Shift and Bus show it. Raises InputError and RunError."""
-    loaded = load_asked(asked, scenarios)
-    run = run_in_memory(loaded)
-    record = run.record
-    stacks = run_figure(record, run.shifts).stacks
+def compare(before: Asked, after: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
+    """Return a run, with the one before a change beneath it, as the tab Shift shows them.
+
+    Raises InputError and RunError.
+    """
+    (_, first), (loaded, run) = _run(before, scenarios), _run(after, scenarios)
+    record, scenario = run.record, loaded.scenario
+    changed = after.requests is not None or after.faults or after.duration_s is not None
+    words = ["opc4", "run", after.scenario]
+    words += [word for text in setting_texts(after.settings) for word in ("--set", text)]
     return {
-        **_again(asked, loaded, run),
-        "duration_ms": MS * loaded.scenario.duration_s,
-        "tick_ms": MS * loaded.scenario.controller.period_s,
+        "name": after.scenario,
+        "command": "" if changed else shlex.join(words),
+        "toml": scenario_toml(scenario),
+        "trace_sha256": run.trace_sha256,
+        "duration_ms": MS * scenario.duration_s,
+        "tick_ms": MS * scenario.controller.period_s,
         "stroke_mm": MS * record.stroke_m,
         "free_mm": MS * record.free_travel_m,
-        "supply_bar": 1e-5 * record.supply_pressure_pa,
-        "bus_load": _load(record, loaded.scenario),
+        "supply_bar": BAR * record.supply_pressure_pa,
+        "time_ms": rounded(MS * record.truth["time_s"], 8),
         "trace": dict(_trace(record)),
-        "frames": list(_frames(record)),
-        "requests": msgspec.to_builtins(loaded.scenario.request),
-        "metrics": _metrics([run.metrics]),
-        "plots": content(stacks[0]),
+        "requests": msgspec.to_builtins(scenario.request),
+        "metrics": list(_metrics(first, run)),
+        "plots": content(comparison_stack(first, run)),
     }
 
 
-def compare(before: Asked, after: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
-    """Return two runs over each other as the tab What if shows them. Raises InputError and RunError."""
-    first, second = (
-        _cached(msgspec.json.encode(asked, order="sorted"), tuple(scenarios.items()))
-        for asked in (before, after)
-    )
-    figure = comparison_figure(first[1], second[1])
+def frames(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
+    """Return the frames of a run as the tab Bus shows them. Raises InputError and RunError."""
+    loaded, run = _run(asked, scenarios)
     return {
-        **_again(after, *second),
-        "metrics": _metrics([first[1].metrics, second[1].metrics]),
-        "plots": content(figure.stacks[0]),
+        "bus_load": _load(run.record, loaded.scenario),
+        "frames": list(_frames(run.record)),
+        "plots": content(bus_stack(run)),
     }
+
+
+def _run(asked: Asked, scenarios: Mapping[str, str]) -> tuple[Loaded, Run]:
+    return _cached(msgspec.json.encode(asked, order="sorted"), tuple(scenarios.items()))
 
 
 @functools.lru_cache(16)
 def _cached(asked: bytes, scenarios: tuple[tuple[str, str], ...]) -> tuple[Loaded, Run]:
     loaded = load_asked(msgspec.json.decode(asked, type=Asked), dict(scenarios))
     return loaded, run_in_memory(loaded)
-
-
-def _again(asked: Asked, loaded: Loaded, run: Run) -> dict[str, Any]:
-    """Return what makes the same run without the page, and its hash."""
-    changed = asked.requests is not None or asked.faults or asked.duration_s is not None
-    words = ["opc4", "run", asked.scenario]
-    words += [word for text in setting_texts(asked.settings) for word in ("--set", text)]
-    return {
-        "name": asked.scenario,
-        "command": "" if changed else shlex.join(words),
-        "toml": scenario_toml(loaded.scenario),
-        "trace_sha256": run.trace_sha256,
-    }
 
 
 def _load(record: RunRecord, scenario: Scenario) -> float:
@@ -175,27 +171,33 @@ def _load(record: RunRecord, scenario: Scenario) -> float:
     return bits / (scenario.bus.bitrate * scenario.duration_s)
 
 
-def _metrics(runs: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
-    return [
-        [name, unit, *(None if run[key] is None else factor * run[key] for run in runs)]
-        for key, name, factor, unit in METRICS
-    ]
+def _metrics(before: Run, after: Run) -> Iterator[list[Any]]:
+    """Yield name, unit, value before and now: request to stop of each motion and in sum, and METRICS."""
+    for shifts in zip_longest(before.shifts, after.shifts):
+        shift = shifts[1] or shifts[0]
+        times = [one.shift_time_s if one else None for one in shifts]
+        yield _metric(f"{shift.from_gear} to {shift.to_gear}", "ms", MS, times)
+    for key, name, factor, unit in (("shift_time_s", "request to stop, sum", MS, "ms"), *METRICS):
+        yield _metric(name, unit, factor, [run.metrics[key] for run in (before, after)])
+
+
+def _metric(name: str, unit: str, factor: float, values: Sequence[float | None]) -> list[Any]:
+    return [name, unit, *(None if value is None else factor * value for value in values)]
 
 
 def _trace(record: RunRecord) -> Iterator[tuple[str, list[float | None]]]:
     truth = record.truth
-    yield "time_ms", rounded(MS * truth["time_s"], 8)
     for column, name, factor in (
-        ("position_m", "stay_mm", MM),
-        ("piston_1_m", "piston_1_mm", MM),
-        ("piston_2_m", "piston_2_mm", MM),
-        *((f"pressure_{c}_pa", f"pressure_{c}_bar", 1e-5) for c in CHAMBERS),
+        ("position_m", "stay", MM),
+        ("piston_1_m", "piston_1", MM),
+        ("piston_2_m", "piston_2", MM),
+        *((f"pressure_{c}_pa", f"pressure_{c}", BAR) for c in CHAMBERS),
         *((f"cmd_{c}", f"coil_{c}", 1.0) for c in CHAMBERS),
         *((f"valve_{c}", f"valve_{c}", 1.0) for c in CHAMBERS),
     ):
-        yield name, rounded(factor * truth[column], 5)
+        yield name, rounded(factor * truth[column], 4)
     at_s, estimate_m = record.estimate
-    yield "estimate_mm", rounded(MM * held(at_s, estimate_m, truth["time_s"]), 5)
+    yield "estimate", rounded(MM * held(at_s, estimate_m, truth["time_s"]), 4)
 
 
 def heard(message: can.Message, start_s: float) -> list[Any]:
@@ -237,9 +239,8 @@ def _shown(value: Any) -> str:
 
 
 def vocabulary(scenarios: Mapping[str, str]) -> dict[str, Any]:
-    """Return what the page offers: scenarios, sliders with their present values, faults, strategies."""
-    schema = json.loads(json.dumps(msgspec.json.schema(Scenario)))
-    kinds = schema["$defs"]
+    """Return what the page offers: scenarios, faults, strategies."""
+    kinds = _schema()
     faults = {}
     for table in FAULT_TABLES:
         items = kinds["Scenario"]["properties"][table]["items"]
@@ -252,28 +253,66 @@ def vocabulary(scenarios: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
+@functools.cache
+def _schema() -> dict[str, Any]:
+    kinds: dict[str, Any] = json.loads(json.dumps(msgspec.json.schema(Scenario)))["$defs"]
+    return kinds
+
+
 def values_of(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
-    """Return the values that sliders and choices have in a scenario. Raises InputError."""
-    loaded = load_asked(asked, scenarios)
-    table = expanded(loaded.scenario)
-    if table["plant"]["supply_pressure_pa"] is None:
-        table["plant"]["supply_pressure_pa"] = loaded.parameters.value("supply.P_s")
-    sliders = [
-        [
-            path,
-            *shown,
-            loaded.parameters[path].value
-            if path in loaded.parameters
-            else reduce(getitem, path.split("."), table),
-        ]
-        for path, shown in SLIDERS.items()
-    ]
+    """Return the scenario's own values, and which of the settings mean something in it.
+
+    `reset`: a line for each setting that the scenario refuses. Raises InputError.
+    """
+    kept: dict[str, Any] = {}
+    reset = []
+    for path, value in asked.settings.items():
+        try:
+            load_asked(msgspec.structs.replace(asked, settings={**kept, path: value}), scenarios)
+            kept[path] = value
+        except InputError as error:
+            reset.append(f"{path}: {error}")
+    loaded = load_asked(msgspec.structs.replace(asked, settings={}), scenarios)
+    controller = loaded.scenario.controller
     return {
-        "sliders": sliders,
-        "strategy": loaded.scenario.controller.strategy,
-        "filter": loaded.scenario.controller.filter.enabled,
+        "sliders": [_slider(loaded, path, *shown) for path, shown in SLIDERS.items()],
+        "strategy": controller.strategy,
+        "filter": controller.filter.enabled,
         "damper": loaded.scenario.plant.damper,
-        "gear": loaded.scenario.initial_gear,
-        "requests": msgspec.to_builtins(loaded.scenario.request),
-        "duration_s": loaded.scenario.duration_s,
+        "settings": kept,
+        "reset": reset,
     }
+
+
+def _slider(
+    loaded: Loaded, path: str, name: str, factor: float, unit: str, step: float, end: float
+) -> dict[str, Any]:
+    """Return a slider in the unit shown: the ends of the model, round values between, the scenario's value."""
+    if path in loaded.parameters:
+        value: Any = loaded.parameters[path].value
+        limits = bounds(path, loaded.parameters[path].unit)
+    else:
+        node: dict[str, Any] = {"$ref": "Scenario"}
+        for part in path.split("."):
+            kind = next(one for one in node.get("anyOf", [node]) if "$ref" in one)
+            node = _schema()[kind["$ref"].split("/")[-1]]["properties"][part]
+        node = node.get("anyOf", [node])[0]
+        limits = (node["minimum"], node["maximum"])
+        value = reduce(getitem, path.split("."), expanded(loaded.scenario))
+        if path == "plant.supply_pressure_pa" and value is None:
+            value = loaded.parameters.value("supply.P_s")
+    low, high = (factor * limit for limit in limits)
+    own = None if value is None else float(f"{factor * value:.10g}")
+    stops = {low, low if own is None else own, *_round_values(low, min(high, end), step)}
+    return {
+        "path": path, "name": name, "factor": factor, "unit": unit, "step": step,
+        "low": low, "high": high, "own": own, "value": value, "stops": sorted(stops),
+    }  # fmt: skip
+
+
+def _round_values(low: float, high: float, step: float) -> Iterator[float]:
+    """Yield multiples of a step between two ends; it grows tenfold from a hundred steps on."""
+    value = step * math.ceil(low / step - 1e-9)
+    while value <= high + 1e-9 * step:
+        yield float(f"{value:.10g}")
+        value += step * 10 ** max(0, math.floor(math.log10(max(value, step) / step) - 1 + 1e-9))

@@ -57,6 +57,8 @@ class Bench:
     log: Log
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     port: int = 0
+    started: str = field(default_factory=lambda: secrets.token_hex(4))
+    """Tells a page that the server is not the one that it began with."""
     pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "bench"))
 
     @property
@@ -105,17 +107,23 @@ class _Handler(web.RequestHandler):
         self.shared.admit(self.request, self.token())
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        self.finish(f"opc4 live: {status_code}; open the address that opc4 live printed\n")
+        what = (
+            f"{status_code}: no {self.request.path[:80]!r}" if status_code == 404 else status_code
+        )
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"opc4 live: {what}; open the address that opc4 live printed\n")
 
     async def answer(self, work: Callable[[], Any]) -> None:
         """Send what `work` returns as JSON; bad input is one line with status 400."""
         loop = asyncio.get_running_loop()
         self.set_header("Content-Type", "application/json")
         try:
-            text = await loop.run_in_executor(self.shared.pool, lambda: json.dumps(work()))
+            text = await loop.run_in_executor(
+                self.shared.pool, lambda: msgspec.json.encode(work(), enc_hook=float)
+            )
         except (InputError, RunError, msgspec.DecodeError) as error:
             self.set_status(400)
-            text = json.dumps({"error": " ".join(str(error).split())})
+            text = msgspec.json.encode({"error": " ".join(str(error).split())})
         self.finish(text)
 
 
@@ -136,7 +144,10 @@ class _Api(_Handler):
 
     async def get(self, what: str) -> None:
         works = {
-            "vocabulary": lambda: bench.vocabulary(self.shared.scenarios),
+            "vocabulary": lambda: {
+                **bench.vocabulary(self.shared.scenarios),
+                "started": self.shared.started,
+            },
             "runs": lambda: runs.listed(self.shared.folder),
         }
         if what not in works:
@@ -146,7 +157,7 @@ class _Api(_Handler):
     async def post(self, what: str) -> None:
         body, scenarios, decode = self.request.body, self.shared.scenarios, msgspec.json.decode
         works: dict[str, Callable[[], Any]] = {
-            "run": lambda: bench.run_shift(decode(body, type=Asked), scenarios),
+            "frames": lambda: bench.frames(decode(body, type=Asked), scenarios),
             "values": lambda: bench.values_of(decode(body, type=Asked), scenarios),
             "compare": lambda: bench.compare(*decode(body, type=tuple[Asked, Asked]), scenarios),
             "runs": lambda: runs.compared(self.shared.folder, decode(body, type=list[str])),
@@ -241,7 +252,7 @@ def application(shared: Bench) -> web.Application:
     """Return the addresses of the bench."""
     handlers = [
         (r"/", _Page),
-        (r"/api/(vocabulary|runs|run|values|compare)", _Api),
+        (r"/api/(vocabulary|runs|frames|values|compare)", _Api),
         (r"/runs/([^/]+)/([^/]+)", _RunPage),
         (r"/bus", _Listener),
     ]

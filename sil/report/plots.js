@@ -198,9 +198,11 @@
     return made;
   }
 
-  function group(place, number, content) {
+  // `onCursor`: the group is an instrument. Panels share the height there is, each with its name and its
+  // values at the cursor on its left; the cursor stays where it was put, and a drag moves it.
+  function group(place, number, content, onCursor) {
     const names = content.panels.flatMap((panel) => panel.ticks.map((tick) => tick[1].length));
-    const size = Math.max(56, 7 * Math.max(0, ...names) + 6);
+    const size = onCursor ? 52 : Math.max(56, 7 * Math.max(0, ...names) + 6);
     const holder = place.querySelector(".panels");
     const whole = content.ends;
     // texts of a longer part would cover each other
@@ -210,11 +212,21 @@
     const from = content.log ? Math.exp : (value) => value;
     let range = whole.slice();
     let charts = [];
+    let reads = []; // of each chart: (x) => writes its values
+    let spot = content.ends[0];
+
+    function cursor(x) {
+      spot = x;
+      const inside = x >= range[0] && x <= range[1];
+      charts.forEach((chart) => chart.setCursor({ left: inside ? chart.valToPos(x, "x") : -10, top: 0 }, false));
+      reads.forEach((read) => read(x));
+    }
 
     function show(low, high) {
       if (!(high > low)) return;
       range = [Math.max(low, whole[0]), Math.min(high, whole[1])];
       charts.forEach((chart) => chart.setScale("x", { min: range[0], max: range[1] }));
+      if (onCursor) cursor(spot);
     }
 
     function zoom(factor, about) {
@@ -257,16 +269,33 @@
     }
 
     function width() {
+      if (onCursor) return Math.max(120, (holder.querySelector(".draws") || holder).clientWidth);
       return printing ? PAPER_WIDTH : Math.max(260, holder.clientWidth);
     }
 
-    function options(panel, colours, last) {
+    function heights() {
+      if (!onCursor) return content.panels.map((panel) => panel.height);
+      const least = content.panels.map((panel) => 10 + 16 * (panel.ticks.length || 1 + reading(panel).length));
+      const sum = (values) => values.reduce((a, b) => a + b, 0);
+      const rest = Math.max(0, holder.clientHeight - 26 - sum(least) - least.length) / sum(content.panels.map((panel) => panel.height));
+      return content.panels.map((panel, i) => Math.floor(least[i] + rest * panel.height));
+    }
+
+    function options(panel, colours, last, height) {
       const axis = {
         stroke: colours("faint"),
         grid: { stroke: colours("grid"), width: 1 },
         ticks: { stroke: colours("grid"), width: 1 },
       };
       const across = level(content, axis, last, width() - 60);
+      const up = upright(panel, axis, size);
+      if (onCursor) {
+        Object.assign(up, { label: undefined, size, space: 18 });
+        if (panel.ticks.length) up.values = () => panel.ticks.map(() => "");
+        Object.assign(across, last ? { size: 24, label: undefined } : { size: 0, values: () => [], ticks: { show: false } });
+      }
+      const still = Object.fromEntries(["mousedown", "mouseup", "click", "dblclick", "mousemove", "mouseleave", "mouseenter"]
+        .map((name) => [name, () => null]));
       const named = (chart, v) => {
         if (v == null) return "–";
         if (!content.ticks.length) return String(Number(v.toPrecision(7)));
@@ -275,8 +304,10 @@
       };
       return {
         width: width(),
-        height: panel.height + across.size,
-        cursor: {
+        height: height + across.size,
+        legend: { show: !onCursor },
+        padding: onCursor ? [6, 18, 2, 0] : undefined,
+        cursor: onCursor ? { bind: still, y: false, points: { show: false } } : {
           sync: { key: "opc4 " + number },
           drag: { x: true, y: false, setScale: false },
         },
@@ -284,7 +315,7 @@
           x: { time: false, distr: content.log ? 3 : 1, range: () => range },
           y: { range: tall(panel) },
         },
-        axes: [across, upright(panel, axis, size)],
+        axes: [across, up],
         series: [{ label: content.axis, value: named }]
           .concat(panel.series.map((series) => line(series, colours, content.ticks.length ? 10 : 4))),
         hooks: {
@@ -305,18 +336,22 @@
     function draw() {
       const theme = themes[dark.matches && !printing ? "dark" : "light"];
       const colours = (role) => theme[role] || role;
+      const scrolled = holder.scrollTop;
       charts.forEach((chart) => chart.destroy());
       holder.replaceChildren();
+      reads = [];
+      const high = heights();
       charts = content.panels.map((panel, i) => {
         const box = document.createElement("div");
         box.className = "panel";
+        holder.appendChild(box);
+        if (onCursor) return instrument(box, panel, colours, high[i], i === content.panels.length - 1);
         const title = document.createElement("h4");
         title.textContent = panel.title;
         box.appendChild(title);
-        holder.appendChild(box);
         const values = [content.x].concat(panel.series.map((series) => series.y));
         if (panel.keys.length || panel.scale) box.appendChild(keys(panel, colours));
-        const chart = new uPlot(options(panel, colours, i === content.panels.length - 1), values, box);
+        const chart = new uPlot(options(panel, colours, i === content.panels.length - 1, high[i]), values, box);
         chart.root.querySelectorAll(".u-legend .u-series").forEach((row, k) => {
           if (k && !panel.series[k - 1].label) row.style.display = "none";
         });
@@ -324,7 +359,46 @@
         touch(chart.over, chart);
         return chart;
       });
+      holder.scrollTop = scrolled;
+      if (onCursor) cursor(spot);
     }
+
+    // A panel with what is read at the cursor on its left.
+    function instrument(box, panel, colours, height, last) {
+      const [read, draws] = [document.createElement("div"), document.createElement("div")];
+      const lanes = panel.ticks.length > 0;
+      [box.className, read.className, draws.className] = ["panel beside", "read", "draws"];
+      box.replaceChildren(read, draws);
+      const chart = new uPlot(options(panel, colours, last, height), [content.x, ...panel.series.map((series) => series.y)], draws);
+      const rows = lanes ? panel.ticks.map(([lane, name]) => ({ name, lane })) : reading(panel);
+      const texts = (...all) => {
+        const row = document.createElement("div");
+        row.append(...all.map((text) => Object.assign(document.createElement("span"), { textContent: text, title: text })));
+        read.append(row);
+        return row;
+      };
+      if (!lanes) texts(panel.unit ? `${panel.title}, ${panel.unit}` : panel.title, ...(!reads.length && rows.some((row) => row.before) ? ["now", "before"] : [])).className = "name";
+      const cells = rows.map(({ name, series }) => {
+        const row = texts(name, ...(series ? ["", ""] : [""]));
+        if (series) row.firstChild.prepend(Object.assign(document.createElement("i"), { style: `background:${colours(series.role)}` }));
+        else row.className = "lane";
+        return [...row.children];
+      });
+      reads.push((x) => rows.forEach(({ series, before, lane }, i) => {
+        if (series) [series, before].forEach((one, k) => { cells[i][1 + k].textContent = one ? figure(valueAt(one, x)) : ""; });
+        else {
+          cells[i][1].textContent = stateAt(panel, lane, x);
+          cells[i][0].parentNode.style.top = `${chart.bbox.top / uPlot.pxRatio + chart.valToPos(lane, "y")}px`;
+        }
+      }));
+      const set = (event) => onCursor(Math.min(Math.max(chart.posToVal(event.clientX - chart.over.getBoundingClientRect().left, "x"), range[0]), range[1]));
+      chart.over.style.touchAction = "pan-y";
+      chart.over.addEventListener("pointerdown", (event) => { chart.over.setPointerCapture(event.pointerId); set(event); });
+      chart.over.addEventListener("pointermove", (event) => { if (event.buttons) set(event); });
+      return chart;
+    }
+
+    const valueAt = (series, x) => window.opc4At(content.x, series.y, x, series.style !== "line");
 
     function button(name, label, act) {
       const made = document.createElement("button");
@@ -338,19 +412,50 @@
     place.querySelector(".bar").replaceChildren();
     button("whole", "show everything", () => show(whole[0], whole[1]));
     content.zooms.forEach(([name, low, high]) => button(name, name, () => show(low, high)));
-    button("+", "zoom in", () => zoom(0.5));
-    button("−", "zoom out", () => zoom(2));
+    const about = () => (onCursor && spot > range[0] && spot < range[1] ? spot : undefined);
+    button("+", "zoom in", () => zoom(0.5, about()));
+    button("−", "zoom out", () => zoom(2, about()));
     button("←", "earlier", () => move(-0.5));
     button("→", "later", () => move(0.5));
+    if (onCursor) place.querySelector(".bar").append(Object.assign(document.createElement("span"), { textContent: content.axis, className: "faint" }));
     draw();
     return {
       draw,
-      fit: () => charts.forEach((chart) => chart.setSize({ width: width(), height: chart.height })),
+      fit: () => onCursor ? draw() : charts.forEach((chart) => chart.setSize({ width: width(), height: chart.height })),
       charts: () => charts,
       range: () => (range[0] > whole[0] || range[1] < whole[1] ? range : null),
       show,
+      cursor,
     };
   }
+
+  // The lines that are read at the cursor, each with the one of the run before.
+  function reading(panel) {
+    const named = panel.series.filter((series) => series.label && !series.label.endsWith(", before"));
+    return named.map((series) => ({ name: series.label, series,
+      before: panel.series.find((other) => other.label === `${series.label}, before`) }));
+  }
+
+  function stateAt(panel, lane, x) {
+    const there = panel.spans.find(([from, to, low, high]) => x >= (from ?? -Infinity) && x < (to ?? Infinity)
+      && lane >= (low ?? -Infinity) && lane <= (high ?? Infinity));
+    return there ? there[5] || "on" : "–";
+  }
+
+  const figure = (value) => (value == null ? "–" : value.toFixed(Math.abs(value) < 99.5 ? 2 : 0));
+
+  // A line's value at x; a stepped one holds until its next point.
+  window.opc4At = (xs, ys, x, stepped) => {
+    let [low, high] = [0, xs.length - 1];
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (xs[middle] <= x + 1e-9) low = middle;
+      else high = middle - 1;
+    }
+    const [here, next] = [ys[low], ys[low + 1]];
+    if (stepped || here == null || next == null) return here;
+    return here + Math.min(1, Math.max(0, (x - xs[low]) / (xs[low + 1] - xs[low]))) * (next - here);
+  };
 
   const groups = new Map();
   document.querySelectorAll(".plots").forEach((place, number) => {
@@ -358,12 +463,12 @@
     if (stored) groups.set(place, group(place, number, JSON.parse(stored.textContent)));
   });
   window.opc4Plots = () => Array.from(groups.values(), (one) => one.charts());
-  // Draws other content in a group; the part of the axis that was shown stays.
-  window.opc4Draw = (place, content) => {
+  // Draws other content in a group as an instrument; the part of the axis that was shown stays.
+  window.opc4Draw = (place, content, onCursor) => {
     const before = groups.get(place);
     const shown = before && before.range();
     if (before) before.charts().forEach((chart) => chart.destroy());
-    const made = group(place, `live ${Array.from(document.querySelectorAll(".plots")).indexOf(place)}`, content);
+    const made = group(place, `live ${Array.from(document.querySelectorAll(".plots")).indexOf(place)}`, content, onCursor);
     groups.set(place, made);
     if (shown) made.show(...shown);
     return made;

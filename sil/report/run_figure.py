@@ -32,6 +32,7 @@ SETTLED_S = 0.025
 """What is shown after everything has settled."""
 
 SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
+STATES = "Firmware state"
 SENDERS = {"driver": "B", "controller": "estimate", "plant": "truth"}
 """Colour of each sender's frames."""
 
@@ -45,20 +46,13 @@ def run_figure(
     zooms = shift_zooms(record, shifts)
     truth, stroke = record.truth, record.stroke_m * MM
     time = truth["time_s"] * MS
-    speed = Series("true", time, truth["velocity_m_s"], "truth")
     shafts = [
         Series(name, time, truth[f"{name}_rad_s"], role, "stepped")
         for name, role in (("input", "estimate"), ("output", "faint"))
     ]
     panels = [
-        *vehicle_panels(record),
-        _position(record, zooms, shifts),
-        Panel("Speed of the stay", "m/s", [speed], height=130, page_only=True),
-        _valves(record, zooms),
-        *_currents(record),
-        _pressures(record, zooms),
-        _states(record),
-        _bus(record, zooms),
+        *motion_panels(record, zooms, shifts),
+        bus_panel(record, zooms),
         Panel(SHAFTS, "rad/s", shafts, height=130, page_only=True),
     ]
     whole = [Series("", time, truth["position_m"] * MM, "truth", width=1.2)]
@@ -67,6 +61,21 @@ def run_figure(
     overview = Panel("Position", series=whole, height=52, ticks=ticks, limits=limits)
     stack = Stack("simulated time, ms", panels, zooms=zooms, overview=overview)
     return Figure([stack], title, subtitle)
+
+
+def motion_panels(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift]) -> list[Panel]:
+    """Return the panels of truck, position, speed, valves, coils, pressures and firmware states."""
+    truth = record.truth
+    speed = Series("true", truth["time_s"] * MS, truth["velocity_m_s"], "truth")
+    return [
+        *vehicle_panels(record),
+        _position(record, zooms, shifts),
+        Panel("Speed of the stay", "m/s", [speed], height=130, page_only=True),
+        _valves(record, zooms),
+        *_currents(record),
+        _pressures(record, zooms),
+        states_panel(record),
+    ]
 
 
 def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
@@ -342,7 +351,7 @@ def _letters(zoom: Zoom, time: Floats, lines: dict[str, Floats], scale: float) -
         yield Note(float(t[i]), float(line[inside][i]), name, name, bold=True)
 
 
-def _states(record: RunRecord) -> Panel:
+def states_panel(record: RunRecord) -> Panel:
     """Return the states that the controller reported, and where it reported nothing."""
     times, states = record.series(ControllerStatus, "state")
     names = [state.name for state in states]
@@ -351,7 +360,7 @@ def _states(record: RunRecord) -> Panel:
         role, style = ("faint", "hatched") if name == SILENT else (name, "solid")
         spans.append(Span(a * MS, b * MS, role, name.lower(), 0.0, 1.0, style))  # type: ignore[arg-type]
     ticks = [(0.5, "firmware state")]
-    return Panel("Firmware state", "", spans=spans, ticks=ticks, height=46, limits=(0.0, 1.0))
+    return Panel(STATES, "", spans=spans, ticks=ticks, height=46, limits=(0.0, 1.0))
 
 
 def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[float, float, str]]:
@@ -372,7 +381,7 @@ def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[f
     return spans
 
 
-def _bus(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
+def bus_panel(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     """One lane per message, lowest identifier (highest priority) on top: released to arrived."""
     lanes = sorted(record.messages.items(), key=lambda lane: -lane[1][0][0].frame.can_id)
     spans = []

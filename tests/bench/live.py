@@ -29,11 +29,11 @@ def measure() -> Iterator[str]:
         live = Live(Path(folder))
         page = Page(
             browser,
-            f"{live.address}#%7B%22tab%22%3A%22whatif%22%2C%22scenario%22%3A%22{NAME}%22%7D",
+            f"{live.address}#%7B%22scenario%22%3A%22{NAME}%22%7D",
         )
         page.wait(page.drawn)
         for move in range(MOVES + 5):
-            page.after(lambda move=move: page.slide("valve.D_fall", 100 + 7 * move))  # type: ignore[misc]
+            page.after(lambda move=move: page.slide("valve.D_fall", 20 + move))  # type: ignore[misc]
         browser.execute_async_script("setTimeout(arguments[0], 500)")
         found = browser.execute_script("return window.opc4Latency")[5:]
         draw = browser.execute_script(

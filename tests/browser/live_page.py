@@ -82,11 +82,27 @@ class Page:
         )  # fmt: skip
 
     def at(self, time_ms: float) -> None:
+        """Put the cursor there, as a press on the first plot does."""
         self.browser.execute_script(
-            "const t = document.getElementById('time'); t.value = arguments[0];"
-            "t.dispatchEvent(new Event('input'))",
+            "const chart = window.opc4Plots().flat().find(c => c.root.offsetWidth);"
+            "const clientX = chart.over.getBoundingClientRect().left + chart.valToPos(arguments[0], 'x');"
+            "chart.over.setPointerCapture = () => {};"
+            "chart.over.dispatchEvent(new PointerEvent('pointerdown', { clientX, pointerId: 1 }))",
             time_ms,
         )
+
+    def read(self) -> dict[str, list[str]]:
+        """The values beside the plots: now and before, by name."""
+        rows = self.browser.execute_script(
+            "return [...document.querySelectorAll('.read div:not(.name)')].filter(r => r.offsetWidth)"
+            ".map(r => [...r.children].map(c => c.textContent))"
+        )
+        return {name: values for name, *values in rows}
+
+    def inner(self) -> list[int]:
+        """Width and height of the window's content."""
+        size: list[int] = self.browser.execute_script("return [innerWidth, innerHeight]")
+        return size
 
     def scenario(self) -> str:
         found: str = self.one("copy-scenario").get_attribute("data-text")
