@@ -16,7 +16,7 @@ from sil.cli.options import EFFECTS, JSON, argument, out
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
-    from sil.studies.study import Study
+    from sil.studies.study import Study, Table
 
 EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
 ARGUMENTS = (
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(finite({"out": str(folder), "rows_now": now, **result})))
     else:
-        _print_summary(study, result)
+        _print_summary(study, table, result)
         print(f"{counted(result['rows'], 'row')} ({now} run now) in {folder}")
     close_folders(None)  # complete, also if rows could not run
     return exit_code(table)
@@ -108,17 +108,18 @@ def _folder(study: Study, arguments: argparse.Namespace) -> Path:
     return prepare_folder(out, study.file.name, arguments.force)
 
 
-def _print_summary(study: Study, result: dict[str, Any]) -> None:
-    """Print a line for each combination of choices, and why rows did not pass."""
-    from sil.studies.table import read_metrics
+def _print_summary(study: Study, table: Table, result: dict[str, Any]) -> None:
+    """Print the metrics of rows or groups, and why rows did not pass."""
+    from sil.cli.text_table import table_lines
+    from sil.studies.baseline import shown_rows
 
     sentences = result.get("safe_states", ())
     for sentence in sentences:
         print(sentence)
-    of_shifts = "impact_speed_m_s" in study.file.columns()
-    for name, entry in {} if sentences else result["groups"].items():
-        line = _shift_line(entry) if of_shifts else _metrics_line(entry, read_metrics(study))
-        print(f"{name}: {line}")
+    if not sentences:
+        print("\n".join(table_lines(*shown_rows(study, table))))
+    for name, entry in result["groups"].items() if study.file.design.is_drawn else ():
+        print(f"{name}: {_drawn_line(entry)}")
     counts = result["outcomes"]
     if counts["failed"] or counts["not_run"]:
         print(f"{counted(counts['failed'], 'row')} failed, {counts['not_run']} could not run:")
@@ -127,28 +128,11 @@ def _print_summary(study: Study, result: dict[str, Any]) -> None:
             print(f"  {each['rows']} {each['outcome']}: {each['reason']} (row {each['first_row']})")
 
 
-def _shift_line(entry: dict[str, Any]) -> str:
-    """Return time, impact and failures of a group of shifts."""
-    parts = [counted(entry["rows"], "row")]
-    time, speed = entry.get("shift_time_s") or entry.get("arrival_s"), entry.get("impact_speed_m_s")
-    if time:
-        parts.append(f"time {1e3 * time['median']:.0f} ms ({1e3 * time['max']:.0f} at worst)")
-    if speed:
-        parts.append(f"impact {speed['median']:.2f} m/s ({speed['max']:.2f} at worst)")
+def _drawn_line(entry: dict[str, Any]) -> str:
+    """Return the share of failures of a drawn group, and its hardest impacts."""
     failed = f"failed {100 * entry['failed_share']:.1f} %"
-    if "failed_interval" in entry:
-        failed += " ({:.1f} to {:.1f} %)".format(*(100 * end for end in entry["failed_interval"]))
+    failed += " ({:.1f} to {:.1f} %)".format(*(100 * end for end in entry["failed_interval"]))
     worst = entry.get("impact_worst_m_s", {}).get("p95")
     if worst:
-        parts.append("hardest impact below {:.2f} m/s ({:.2f} to {:.2f}) in 95 %".format(*worst))
-    return ", ".join([*parts, failed])
-
-
-def _metrics_line(entry: dict[str, Any], metrics: list[str]) -> str:
-    """Return the metrics shown first of a group of rows: value, or least to greatest."""
-    parts = [f"{entry['rows']} rows"] if entry["rows"] > 1 else []
-    for name in metrics:
-        if name in entry:
-            low, high = entry[name]["min"], entry[name]["max"]
-            parts.append(f"{name} {low:.3g}" + (f" to {high:.3g}" if high > low else ""))
-    return ", ".join(parts) or f"{entry['rows']} row"
+        failed += ", hardest impact below {:.2f} m/s ({:.2f} to {:.2f}) in 95 %".format(*worst)
+    return failed

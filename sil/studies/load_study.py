@@ -12,6 +12,7 @@ from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files.units import without_units
 from sil.simulation import load_scenario
+from sil.studies.baseline import check_baseline
 from sil.studies.study import ScenarioStudy, Study, StudyFile, check_rows, filled
 
 
@@ -45,6 +46,7 @@ def load_study(where: str, effects: Sequence[str] = (), model: str | None = None
         file = structs.replace(file, effects=[load_effects(name) for name in files])
     load_scenario.parameters_of(file.model, f"{path}: model" if model is None else "--model")
     check_rows(file, str(path))
+    check_baseline(file, str(path))
     file.check(str(path))
     for k, name in enumerate(file.reads):
         if name not in file.columns():

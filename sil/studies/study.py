@@ -107,6 +107,9 @@ class StudyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Values of placeholders named together, "a b", are lists of one value for each."""
     reads: list[str] = []
     """Metrics that the summary and the figures show first."""
+    baseline: dict[str, Value] = {}
+    """The row that others of the same load are compared with: names of a variant, strategy or load, and
+    swept values by path; the first ones where left out."""
 
     def __post_init__(self) -> None:
         for names, rows in self.each.items():

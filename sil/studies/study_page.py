@@ -13,6 +13,7 @@ from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.studies import fault_table
+from sil.studies.baseline import shown_rows
 from sil.studies.figures import metric_of
 from sil.studies.kinds.runs import RunsStudy
 from sil.studies.study import Study, Table
@@ -25,10 +26,6 @@ def write_page(
     """Write the figures and report.html; `again` is the command that made the study."""
     safety = isinstance(study.file, RunsStudy) and study.file.safety
     entries, counts = summary["groups"], summary["outcomes"]
-    metrics = read_metrics(study)[:6]
-    if "impact_speed_m_s" in study.file.columns():
-        metrics = ["shift_time_s", "arrival_s", "impact_speed_m_s", "impact_energy_j"]
-    metrics = [name for name in metrics if any(name in entry for entry in entries.values())]
     failed = float(table.numbers["failed"].mean())
     words = [f"{counts['failed']} failed"] if counts["failed"] else []
     words += [f"{counts['not_run']} could not run"] if counts["not_run"] else []
@@ -46,6 +43,7 @@ def write_page(
         again=again,
     )
     figures = study.file.draw(study, table)
+    heads, rows = shown_rows(study, table)
     page = render(
         "whatif.html",
         head,
@@ -59,30 +57,15 @@ def write_page(
         faults=[fault_table.HEAD, *fault_table.rows(study, table)] if safety else [],
         faults_are=fault_table.LEGEND,
         reasons=summary["reasons"][:20],
-        figures_are="Median of the rows of each group, and in brackets least to greatest.",
-        metrics=[metric_of(name).axis for name in metrics],
-        rows=[
-            {
-                "name": name,
-                "rows": entry["rows"],
-                "cells": [_cell(name, entry.get(name)) for name in metrics],
-                "failed": f"{100 * entry['failed_share']:.3g} %",
-            }
-            for name, entry in ({} if safety else entries).items()
-        ],
+        figures_are="Difference: to the row in the baseline's place, under the same load. Of many rows: "
+        "the median of each group, in brackets least to greatest.",
+        heads=heads,
+        rows=[] if safety else rows,
         row_again=f"opc4 run {study.file.scenario} --set PATH=VALUE ..."
         if isinstance(study.file, RunsStudy)
         else "",
     )
     write_atomically(folder / "report.html", page)
-
-
-def _cell(name: str, entry: dict[str, float] | None) -> str:
-    if entry is None:
-        return ""
-    factor = metric_of(name).factor
-    least, middle, greatest = (f"{factor * entry[k]:.4g}" for k in ("min", "median", "max"))
-    return middle if least == greatest else f"{middle} ({least} to {greatest})"
 
 
 def _ranges(study: Study, table: Table) -> list[tuple[str, str]]:

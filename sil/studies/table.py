@@ -49,12 +49,44 @@ def read_metrics(study: Study) -> list[str]:
     return [name for name in study.file.reads or default if name in columns]
 
 
+def baseline_rows(study: Study, table: Table) -> NDArray[np.int64] | None:
+    """Return the number of the row that each row [rows] is compared with, None for a drawn design.
+
+    It has the values of `baseline`, else the first variant, strategy and swept values; and the same load,
+    unless `baseline` names one.
+    """
+    file = study.file
+    if file.design.is_drawn:
+        return None
+    columns = {name: np.array(table.texts[name]) for name in file.groups}
+    for sweep in file.sweep:
+        columns[sweep.path] = np.array(table.numbers.get(sweep.path, table.texts.get(sweep.path)))
+    chosen = np.ones(table.size, dtype=bool)
+    for name, values in columns.items():
+        if name != "load" or name in file.baseline:
+            chosen &= values == file.baseline.get(name, values[0])
+    loads = (
+        columns["load"]
+        if "load" in columns and "load" not in file.baseline
+        else np.zeros(table.size)
+    )
+    rows = np.flatnonzero(chosen)
+    return np.array([rows[np.argmax(loads[rows] == load)] for load in loads])
+
+
+def differences(table: Table, baseline: NDArray[np.int64], name: str) -> NDArray[np.float64]:
+    """Return a metric minus that of the row's baseline [rows], in the unit of its name."""
+    return table.numbers[name] - table.numbers[name][baseline]
+
+
 def summary(study: Study, table: Table) -> dict[str, Any]:
     """Return counts of outcomes, reasons, and of each combination of choices the figures.
 
-    A figure is its least, median and greatest value over the rows of the combination.
+    A figure is its least, median and greatest value over the rows of the combination, and the median
+    difference to the rows in the baseline's place.
     """
     groups: dict[str, Any] = {}
+    baseline = baseline_rows(study, table)
     for label, rows in study.row_groups(table).items():
         entry: dict[str, Any] = {"rows": len(rows)}
         for name in study.file.columns():
@@ -63,6 +95,9 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
             if len(values):
                 parts = (("min", np.min), ("median", np.median), ("max", np.max))
                 entry[name] = {key: float(part(values)) for key, part in parts}
+            if baseline is not None and len(values):
+                change = differences(table, baseline, name)[rows]
+                entry[name]["difference"] = float(np.median(change))
         failed = table.numbers["failed"][rows] > 0.0
         entry["failed_share"] = float(np.mean(failed))
         if study.file.design.is_drawn:
@@ -76,6 +111,7 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
         "rows": table.size,
         "outcomes": {name.replace(" ", "_"): counts[name] for name in get_args(Outcome)},
         "reasons": _reasons(table)[:100],
+        "baseline_rows": None if baseline is None else sorted(set(baseline.tolist())),
         "groups": groups,
     }
 

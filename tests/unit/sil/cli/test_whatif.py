@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sil import api
-from sil.cli import main, whatif
+from sil.cli import main
 
 STUDY = """
 name = "pressures"
@@ -128,6 +128,37 @@ def test_repeating_an_interrupted_sweep_names_resume(tmp_path: Path, capsys: Any
     assert (out / "results.csv").read_bytes() == whole
 
 
-def test_a_row_without_chosen_metrics_is_counted() -> None:
-    assert whatif._metrics_line({"rows": 1}, []) == "1 row"
-    assert whatif._metrics_line({"rows": 2}, []) == "2 rows"
+LOADED = """
+name = "loaded"
+scenario = "lab_n_b"
+reads = ["shift_time_s"]
+baseline = { "valve.D_rise" = "10ms" }
+[[sweep]]
+path = "valve.D_rise"
+values = ["8ms", "10ms"]
+[[load]]
+name = "9 bar"
+[[load]]
+name = "6 bar"
+set = { "plant.supply_pressure_pa" = "6bar" }
+"""
+
+
+def test_each_row_is_compared_with_the_baseline_under_the_same_load(
+    tmp_path: Path, capsys: Any
+) -> None:
+    path, out = tmp_path / "loaded.toml", tmp_path / "out"
+    path.write_text(LOADED)
+    assert main(["whatif", str(path), "--out", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["shift", "time,", "ms", "difference"]
+    assert [line.split()[-1] for line in lines[1:5]] == ["-2", "-2", "baseline", "baseline"]
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["baseline_rows"] == [2, 3]
+    difference_s = summary["groups"]["6 bar"]["shift_time_s"]["difference"]
+    assert difference_s == pytest.approx(-0.001, abs=1e-5)  # the median of -2 ms and 0
+    assert "baseline" in (out / "report.html").read_text()
+    path.write_text(LOADED.replace('"10ms" }', '"11ms" }'))
+    assert main(["whatif", str(path), "--out", str(tmp_path / "no")]) == 2
+    said = "baseline.valve.D_rise: 0.011; expected one of 0.008, 0.01\n"
+    assert capsys.readouterr().err.endswith(said)

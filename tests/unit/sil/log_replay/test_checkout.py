@@ -13,11 +13,11 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ValveCommand
 from controller.config import FirmwareConfig
 from controller.node import ControllerNode
+from sil.firmware.python_file import OwnController
 from sil.log_replay.checkout import checkout
 from sil.log_replay.executor import Unit
 from sil.log_replay.recorded_frames import OWN_IDS
 from sil.log_replay.replay import ReplayRequest, replay
-from sil.firmware.python_file import OwnController
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load
 from tests.conftest import ROOT
