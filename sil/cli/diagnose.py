@@ -226,10 +226,7 @@ def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) 
     if arguments.json:
         print(json.dumps(found, ensure_ascii=False))
     else:
-        print(f"{found['campaign']}: {found['verdict']}")
-        for cause in found["causes"]:
-            shown = f"{cause['probability']:.2f} {cause['id']} ({cause['class']})"
-            print(f"  {shown}: {cause['evidence']}")
+        print_causes(found)
         for key, item in found.get("body", {}).items():
             limits = f"[{item['low']:.4g}, {item['high']:.4g}]"
             print(f"  {key} {item['value']:.4g} {item['unit']} {limits}")
@@ -239,6 +236,26 @@ def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) 
             _print_next(found)
         print(f"  written to {folder}", file=sys.stderr)
     return 0 if found["verdict"] == "consistent" else 1
+
+
+def print_causes(found: dict[str, Any]) -> None:
+    """Print what is wrong, how sure that is, what it explains and what to do next."""
+    print(f"{found['campaign']}: {found['verdict']}")
+    print(f"  {found.get('headline') or found['verdict']}")
+    for cause in found["causes"]:
+        share = cause["probability"]
+        sure = "above 0.99" if share > 0.99 else f"{share:.2f}"
+        print(f"  probability of {cause['id']} ({cause['class']}): {sure}")
+    if "explains" in found:
+        what = "Explains" if found["causes"] else "Residual"
+        print(f"  {what}: {found['explains']}, on strokes that were not used for the fit")
+    advice = {
+        "ambiguous": "measure the strokes that --next proposes, which separate them",
+        "unnamed": "look at the largest residuals in report.html; an effect of your own can describe it",
+        "named": "run the control loop with extended_model.toml to see what it changes",
+    }
+    if found["verdict"] in advice and not found.get("body"):
+        print(f"  Next: {advice[found['verdict']]}")
 
 
 def _print_next(found: dict[str, Any]) -> None:

@@ -56,6 +56,11 @@ class Misfit:
         return max(0.0, self.excess - self.band)
 
     @property
+    def is_noise(self) -> bool:
+        """Whether every channel, and all together, are within the band of clean campaigns."""
+        return self.beyond == 0.0 and all(item.beyond == 0.0 for item in self.channels.values())
+
+    @property
     def detail(self) -> float:
         """Excess beyond the band that is a detail: none if a channel by itself is far off."""
         is_local = any(item.beyond > LIMITS.max_channel_excess for item in self.channels.values())

@@ -234,6 +234,25 @@ class Fitter:
             else:
                 iterations = done  # one last linearisation at the optimum
 
+    def approach(
+        self,
+        candidates: Sequence[Candidate],
+        start: Floats,
+        scatter: Floats,
+        use: Sequence[int],
+        iterations: int,
+    ) -> tuple[float, Floats]:
+        """Move the hypothesis' own parameters alone; return cost and parameters [shared], no unit.
+
+        Raises IntegrationError where the start cannot be simulated.
+        """
+        descent = _Descent(self, tuple(candidates), use, (), start, scatter)
+        for _ in range(iterations):
+            descent.linearise(False, True, {})
+            if descent.step(True) == "none":
+                break
+        return descent.cost, descent.shared
+
 
 class _Descent:
     """One fit in progress: its parameters, cost, damping and last linearisation."""

@@ -5,12 +5,11 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sil.files.quantity import quantity
-from sil.inference.thresholds import UNNAMED
+from sil.files.quantity import quantity, unit_of
 
 
 @dataclass(frozen=True)
@@ -27,6 +26,10 @@ class Interval:
     def normal(cls, value: float, deviation: float, unit: str) -> Interval:
         """Return the interval of a normally distributed estimate."""
         return cls(value, value - 1.96 * deviation, value + 1.96 * deviation, unit)
+
+    def contains(self, value: float) -> bool:
+        """Return whether a value is within the interval."""
+        return self.low <= value <= self.high
 
     def __str__(self) -> str:
         unit = "" if self.unit == "-" else f" {self.unit}"
@@ -60,28 +63,40 @@ class Cause:
         }
 
 
-def headline(verdict: str, causes: Sequence[Cause], sizes: Sequence[str], reason: str) -> str:
-    """Return the one sentence that a reader needs first.
+@dataclass(frozen=True)
+class Gain:
+    """What a diagnosis explains: rms of residuals on strokes that the fit did not use.
 
-    sizes: what would have been found, as text; reason: why nothing can be concluded.
+    channels: by column (before, after, of which noise), in its unit; before, after: over their
+    expected scatter.
     """
-    if verdict == "cannot_tell":
-        return f"These data cannot tell: {reason}."
-    if not causes:
-        seen = f" {', '.join(sizes)} would have been seen." if sizes else ""
-        return f"Nothing found.{seen}"
-    first = causes[0]
-    if verdict == UNNAMED:
-        return f"Something is wrong ({first.cause_class}); no cause of the catalogue fits."
-    texts = []
-    for cause in causes:
-        name, item = next(iter(cause.parameters.items()))
-        unit = "" if item.unit == "-" else item.unit
-        value, low, high = (quantity(v, unit, 3) for v in (item.value, item.low, item.high))
-        what = cause.what or cause.id.replace("_", " ")
-        texts.append(f"{cause.cause_class}: {what}, {name} {value} ({low} to {high})")
-    text = ("; or " if verdict == "ambiguous" else "; and ").join(texts)
-    return f"{text[0].upper()}{text[1:]}."
+
+    files: tuple[str, ...]
+    channels: Mapping[str, tuple[float, float, float]]
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        """Return the channel that changes most, before and after, as an engineer reads it."""
+        if not self.channels:
+            return "no channel is compared"
+        name = max(self.channels, key=lambda n: self.channels[n][0] / (self.channels[n][2] or 1.0))
+        unit = "N m" if name.endswith("_n_m") else unit_of(name)
+        before, after, noise = (quantity(value, unit, 2) for value in self.channels[name])
+        words = name.removesuffix("_n_m").removesuffix("_pa").removesuffix("_m").removesuffix("_n")
+        change = before if before == after else f"from {before} to {after}"
+        return f"rms of {words.replace('_', ' ')} {change}, of which noise is {noise}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object `gain` of diagnosis.json."""
+        return {
+            "heldout_strokes": list(self.files),
+            "channels": {
+                name: {"before": before, "after": after, "noise": noise, "unit": "rms"}
+                for name, (before, after, noise) in self.channels.items()
+            },
+            "standardised": {"before": self.before, "after": self.after},
+        }
 
 
 FALSE_ALARM_LEVEL = 0.01
@@ -95,7 +110,7 @@ def diagnosis_json(
     false_alarm_basis: str,
     **others: Any,
 ) -> dict[str, Any]:
-    """Return the object of diagnosis.json; `others` complete or replace what all rigs have."""
+    """Return the object of diagnosis.json; `others` complete or replace what all front ends have."""
     return {
         "format": 1,
         "campaign": campaign,

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from plant.errors import IntegrationError
-from sil.files.quantity import quantity
 from sil.inference.arrow import FARTHEST_SD, arrow
 from sil.inference.candidate import Candidate
 from sil.inference.fit import FitResult, Fitter
@@ -72,14 +71,6 @@ class Detectable:
         """Difference to neutral in typical sizes."""
         return self.size / self.candidate.parameters[0].typical
 
-    def __str__(self) -> str:
-        main = self.candidate.parameters[0]
-        if main.neutral:
-            size = f"{100.0 * (self.value / main.neutral - 1.0):+.2g} %"
-        else:
-            size = quantity(self.value, "" if main.unit == "-" else main.unit, 2)
-        return f"{self.candidate.id} from {main.name} {size}"
-
     def as_json(self) -> dict[str, Any]:
         """Return the object in `detectable` of diagnosis.json."""
         main = self.candidate.parameters[0]
@@ -97,19 +88,17 @@ class Detectable:
 
 
 def detectable(
-    fitter: Fitter, healthy: FitResult, scores: Sequence[Score], gain: float
+    fitter: Fitter, fit: FitResult | None, scores: Sequence[Score], gain: float
 ) -> list[Detectable]:
-    """Return the smallest size of each cause that would gain so much, by linear scores there.
+    """Return the smallest size of each cause that would gain so much, by linear scores.
 
-    Each cause in the form in which that is least. One that is missing would not have been noticed
-    within its physical bounds.
+    fit: where each size is tried itself (None: the scores alone). Each cause in the form in which
+    that is least. One that is missing would not have been noticed within its physical bounds.
     """
-    if not scores:
-        return []
     sizes: dict[str, Detectable] = {}
-    screening = Screening(fitter, healthy)
+    screening = Screening(fitter, fit) if scores and fit is not None else None
     for score in scores:
-        value = screening.smallest(score, gain)
+        value = screening.smallest(score, gain) if screening else score.smallest(gain)
         if value is None:
             continue
         names = [parameter.name for parameter in score.candidate.parameters[1:]]

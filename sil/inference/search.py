@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from sil.inference.evidence import misfit, strained
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.problem import Block, Floats, Problem
 from sil.inference.screening import Score, screen
-from sil.inference.verdict import HeldOutFits, Judged, Verdict, acceptable, decide, judge, weigh
+from sil.inference.verdict import HeldOutFits, Judged, Verdict, acceptable, decide, judge
 from sil.inference.workers import Stages, fitted
 
 
@@ -41,6 +41,10 @@ class Budget:
     """Gain in cost that a further effect must promise to be tried."""
     sample_blocks: int = 8
     """Blocks that first fits use."""
+    approached: int = 14
+    """Causes that are fitted whole at least, ..."""
+    max_approached_ratio: float = 2.0
+    """... and those whose cost, tolerances aside, is at most so many times the least."""
     singles: int = 6
     pairs: int = 5
     always_finished: int = 3
@@ -128,6 +132,7 @@ class Search:
         self.parent_blocks: dict[str, dict[int, Block]] = {}
         self.varied: set[str] = set()
         self.scores: list[Score] = []
+        self.scores_beside: dict[str, list[Score]] = {}
         self.judged: list[Judged] = []
         self.held_fits: HeldOutFits = {}
         self.verdict: Verdict[Judged]
@@ -165,7 +170,6 @@ class Search:
         chosen = [self.healthy, *ones[:8], *twos[:8], *threes[:2]]
         judged = judge(self.fitter, chosen, self.held_out, self.workers, self.held_fits)
         self.judged = [item for item in judged if acceptable(item)]
-        weigh(self.judged)
         self.verdict = decide(self.judged, self.model.size)
 
     def challenge(self) -> None:
@@ -180,9 +184,16 @@ class Search:
         if any(tried):
             self.judge()
 
+    def unseen_beside(self, leader: FitResult) -> list[Score]:
+        """Return the scores of further causes beside the leader, or beside one of its causes."""
+        names = {leader.name, *(item.name for item in leader.candidates)}
+        ids = {item.id for item in leader.candidates}
+        scores = next((s for name, s in self.scores_beside.items() if name in names), [])
+        return [score for score in scores if score.candidate.id not in ids]
+
     # --- fits ---------------------------------------------------------------------------------
-    def attempt(self, task: Task) -> FitResult | None:
-        """Run one fit from the best of its starts; None if none of them can be simulated."""
+    def best_start(self, task: Task) -> tuple[float, Floats, Floats] | None:
+        """Return cost, shared parameters and scatter of a task's best start; None without any."""
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
         none = (np.zeros(healthy), np.zeros((model.size, len(model.scatter))))
@@ -198,11 +209,33 @@ class Search:
                 cost = self.fitter.cost(trial, scatter, task.candidates, self.sample, limit)
                 if np.isfinite(cost) and (best is None or cost < best[0]):
                     best = (cost, trial, scatter)
+        return best
+
+    def approach(self, task: Task) -> tuple[float, Task] | None:
+        """Return the cost that a task's causes alone reach, and the task from there on."""
+        best = self.best_start(task)
         if best is None:
             return None
-        first = (
-            BUDGET.own_iterations if best[0] > BUDGET.far_cost_per_number * self.sample_size else 0
-        )
+        _cost, shared, scatter = best
+        try:
+            cost, shared = self.fitter.approach(
+                task.candidates, shared, scatter, self.sample, BUDGET.own_iterations
+            )
+        except IntegrationError as error:
+            self.fitter.refusals.lose(task.candidates, error)
+            return None
+        count = len(shared) - len(self.model.layout(task.candidates).effects)
+        values = self.model.effect_values(task.candidates, shared[count:])
+        start = tuple(tuple(table.values()) for table in values)
+        return cost, replace(task, starts=(start,), begin=(shared, scatter))
+
+    def attempt(self, task: Task) -> FitResult | None:
+        """Run one fit from the best of its starts; None if none of them can be simulated."""
+        best = self.best_start(task)
+        if best is None:
+            return None
+        is_far = best[0] > BUDGET.far_cost_per_number * self.sample_size
+        first = BUDGET.own_iterations if is_far else 0
         try:
             return self.fitter.fit(
                 task.candidates,
@@ -290,15 +323,29 @@ class Search:
                 tasks += [
                     Task((item,), (start,), None, BUDGET.first_iterations) for start in starts
                 ]
-        self.first = self.run_tasks(tasks)
+        self.first = self.run_tasks(self.hopeful(tasks))
         self.polish(_promising(self.first, BUDGET.singles))
+
+    def hopeful(self, tasks: list[Task]) -> list[Task]:
+        """Return the tasks worth a whole fit, by what their causes alone reach."""
+        if len(tasks) <= BUDGET.approached:
+            return tasks
+        reached = [r for r in fitted(self.fitter, self.approach, tasks, self.workers) if r]
+        reached.sort(key=lambda item: item[0])
+        return [
+            task
+            for k, (cost, task) in enumerate(reached)
+            if k < BUDGET.approached or cost < BUDGET.max_approached_ratio * reached[0][0]
+        ]
 
     def pairs(self) -> None:
         """Try a second cause on top of the best singles, by score; then finish the best pairs."""
         tasks: list[Task] = []
         for parent, scores in fitted(self.fitter, self.scored, self.parents(), self.workers):
             self.parent_blocks[parent.name] = parent.blocks
-            tasks += [self.pair_task(parent, score) for score in scores[: BUDGET.children]]
+            self.scores_beside[parent.name] = scores
+            likely = [s for s in scores if s.gain > BUDGET.min_linear_gain][: BUDGET.children]
+            tasks += [self.pair_task(parent, score) for score in likely]
         unique: dict[frozenset[str], Task] = {}
         for task in tasks + self.crossed():
             unique.setdefault(frozenset(item.name for item in task.candidates), task)
@@ -413,9 +460,7 @@ class Search:
         """Scores of every compatible candidate on top of a single."""
         full = self.refine(parent, 0)
         others = [c for c in self.candidates if compatible(c, parent.candidates)]
-        return full, [
-            s for s in screen(self.fitter, full, others) if s.gain > BUDGET.min_linear_gain
-        ]
+        return full, screen(self.fitter, full, others)
 
     def pair_task(self, parent: FitResult, score: Score) -> Task:
         """Return the fit of a pair, beginning at the single's optimum and the score's amount."""

@@ -48,22 +48,26 @@ class Thresholds:
     """An explanation that contests the leader is at least so probable, against the likeliest."""
     min_named_probability: float = 0.7
     """From here on a cause is named."""
-    max_probability: float = 0.98
-    """No cause is given more: the catalogue itself may be wrong."""
-    max_doubted_probability: float = 0.45
-    """Most that a cause in doubt is given."""
-    max_robust_probability: float = 0.9
-    """Most of a cause beside a residual whose descriptions leave it as it is (force rigs)."""
-    doubt_from_share: float = 0.005
-    """Share of the healthy misfit, left by the leader, from which its causes are doubted, ..."""
-    doubt_to_share: float = 0.05
-    """... and from which on they are given `max_doubted_probability`."""
+    unnamed_prior: float = 0.02
+    """Prior odds of something that the catalogue does not hold against what explains the data best."""
+    form_share: float = 0.01
+    """Share of the healthy misfit that a right cause of slightly another form leaves, ..."""
+    form_power: float = 2.3
+    """... and how fast larger shares become less likely."""
+    unnamed_odds_beside_a_term: float = 1.2
+    """Odds that a cause beside a term without a form is no more than a stepping stone."""
+    robust_share: float = 0.9
+    """Probability of a cause beside a residual whose descriptions leave it as it is (force rigs)."""
     effective_observations: float = 10.0
     """Effective observations of the model's error."""
     pair_prior: float = 0.1
     """Prior odds of two causes at once against one."""
     min_noticeable_share: float = 0.5
     """Share of the catalogue that would be noticed at its typical size, for data that can tell."""
+
+    def unnamed_odds(self, share: float) -> float:
+        """Return the odds of something without a name, by the share of the misfit that is left."""
+        return float(self.unnamed_prior * (1.0 + share / self.form_share) ** self.form_power)
 
     def needed_gain(self, blocks: int) -> float:
         """Return the log evidence that a cause gains at least on so many blocks."""

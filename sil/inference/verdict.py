@@ -1,24 +1,22 @@
 """From fitted hypotheses to a verdict: which causes are claimed, how surely, and against what.
 
-A hypothesis is scored by its evidence on the training strokes (Laplace) plus its cost on the
-held-out ones, where only the strokes' own scatter may be fitted.  As long as the best of them
-leaves a misfit that noise does not explain, score differences overstate what is known: then the
-model error has an unknown size, and marginalising over that turns the exponential into a power,
+The hypotheses are one normalised set: healthy, every cause and pair that is accepted, and something
+without a name. A hypothesis is scored by its evidence on the training strokes (Laplace) plus its cost
+on the held-out ones. As long as the best leaves a misfit that noise does not explain, the model's error
+has an unknown size; marginalising over that turns the exponential into a power,
 
-    p_i ~ prior_i (1 + 2 (score_i - floor) / nu)^(-nu / 2),
+    p_i ~ prior_i (1 + 2 (score_i - floor) / nu)^(-nu / 2).
 
-Student's form with nu effective observations; it is exp(-score) again once the misfit is nil.
-
-A cause is claimed only if its sign is physical, its interval excludes nothing-there, leaving it out
-costs more than chance would (on training and on held-out strokes alike), and no look-alike does as
-well; look-alikes that do are named as rivals.
+What has no name explains as much as the best hypothesis, and the share s of the healthy misfit that this
+leaves: its odds against it are unnamed_prior (1 + s / form_share)^form_power. A right cause of slightly
+another form leaves a small share. The probability of a cause is the sum over the hypotheses with it.
 Checked by: tests/unit/sil/inference/test_verdict.py
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
@@ -26,7 +24,7 @@ import numpy as np
 
 from plant.errors import IntegrationError
 from sil.inference.candidate import Candidate
-from sil.inference.evidence import Misfit, misfit
+from sil.inference.evidence import Misfit, misfit, strained
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.problem import Floats
 from sil.inference.thresholds import LIMITS, UNNAMED, Thresholds
@@ -63,6 +61,16 @@ class Explanation(Protocol):
     def slight(self) -> tuple[str, ...]:
         """Causes that are tiny and not alone."""
         return ()
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise explains what it leaves."""
+        return self.whole.is_noise
+
+    @property
+    def shared_with_unnamed(self) -> float:
+        """Probability that its causes act if something without a name does."""
+        return LIMITS.pair_prior
 
 
 E = TypeVar("E", bound=Explanation)
@@ -104,6 +112,16 @@ class Judged:
     def slight(self) -> tuple[str, ...]:
         """Causes that are tiny and not alone."""
         return slight_causes(self)
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise explains what it leaves, with ordinary tolerances and scatter."""
+        return self.whole.is_noise and not strained(self.training)
+
+    @property
+    def shared_with_unnamed(self) -> float:
+        """Probability that its causes act if something without a name does."""
+        return LIMITS.pair_prior
 
 
 HeldOutFits = dict[str, tuple[FitResult, FitResult | None]]
@@ -160,37 +178,56 @@ def judge(
             both = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
         held_out_misfit, whole = misfit(model, held_out_fit or fit), misfit(model, both)
         judged.append(Judged(fit, held_out_fit, both, score, held_out_misfit, whole))
-    judged.sort(key=lambda item: item.score)
-    weigh(judged)
-    return judged
+    return sorted(judged, key=lambda item: item.score)
 
 
-def weigh(judged: Sequence[Explanation]) -> None:
-    """Fill in the probabilities of competing hypotheses."""
-    if not judged:
-        return
-    leader = min(judged, key=lambda item: item.score)
+def weigh(
+    hypotheses: Sequence[Explanation], healthy: Explanation
+) -> list[tuple[tuple[str, ...], float]]:
+    """Return the probability of every hypothesis by its causes, and store it there; they sum to 1.
+
+    Besides the hypotheses, the healthy one among them, something without a name may act: alone, or
+    with the causes of the best one.
+    """
+    leader = min(hypotheses, key=lambda item: item.score)
     error = 0.5 * leader.whole.beyond
     nu = LIMITS.effective_observations
-    logs = np.array(
+    weights = np.array(
         [
             np.log(LIMITS.pair_prior if len(item.ids) > 1 else 1.0)
             - 0.5 * nu * np.log1p(2.0 * (item.score - leader.score + error) / nu)
-            for item in judged
+            for item in hypotheses
         ]
     )
-    weights = np.exp(logs - logs.max())
-    weights /= weights.sum()
-    for item, weight in zip(judged, weights, strict=True):
-        item.probability = float(weight)
+    weights = np.exp(weights - weights.max())
+    unnamed = LIMITS.unnamed_odds(_unexplained_share(leader, healthy))
+    if UNNAMED in leader.ids and len(leader.ids) > 1:
+        unnamed = LIMITS.unnamed_odds_beside_a_term
+    unnamed *= weights[[item is leader for item in hypotheses].index(True)]
+    rows = [(item.ids, weight) for item, weight in zip(hypotheses, weights, strict=True)]
+    shared = leader.shared_with_unnamed if leader.ids and UNNAMED not in leader.ids else 0.0
+    rows += [((UNNAMED,), (1.0 - shared) * unnamed), ((*leader.ids, UNNAMED), shared * unnamed)]
+    total = sum(weight for _ids, weight in rows)
+    for item, weight in zip(hypotheses, weights, strict=True):
+        item.probability = float(weight / total)
+    return [(ids, float(weight / total)) for ids, weight in rows if weight > 0.0]
 
 
-def by_cause(judged: Sequence[Explanation]) -> dict[str, float]:
-    """Probability of each cause: of all hypotheses it takes part in."""
+def _unexplained_share(item: Explanation, healthy: Explanation) -> float:
+    """Return the share of the healthy misfit that a hypothesis leaves, beyond noise and details."""
+    whole = item.whole
+    is_noise = not item.ids and whole.rms <= LIMITS.max_residual_ratio
+    if whole.beyond <= whole.detail or is_noise:
+        return 0.0
+    return whole.beyond / max(healthy.whole.excess, 1e-9)
+
+
+def by_cause(hypotheses: Iterable[tuple[tuple[str, ...], float]]) -> dict[str, float]:
+    """Return the probability of each cause: of all hypotheses that it takes part in."""
     total: dict[str, float] = {}
-    for item in judged:
-        for name in item.ids:
-            total[name] = total.get(name, 0.0) + item.probability
+    for ids, probability in hypotheses:
+        for name in dict.fromkeys(ids):
+            total[name] = total.get(name, 0.0) + probability
     return dict(sorted(total.items(), key=lambda entry: -entry[1]))
 
 
@@ -198,8 +235,9 @@ def by_cause(judged: Sequence[Explanation]) -> dict[str, float]:
 class Verdict(Generic[E]):
     """What is concluded, before figures are put to it.
 
-    leader: the accepted hypothesis; claimed: its causes that are claimed; probabilities: of
-    every cause at least LIMITS.min_rival_probability probable; gains: score lost by leaving a claimed cause out.
+    leader: the hypothesis that explains best; claimed: its causes; probabilities: of the claimed
+    causes, their rivals and `unnamed`, as far as at least LIMITS.min_rival_probability; hypotheses:
+    causes and probability of each, in all 1; gains: score lost by leaving a claimed cause out.
     """
 
     kind: str
@@ -207,6 +245,7 @@ class Verdict(Generic[E]):
     healthy: E
     claimed: tuple[str, ...] = ()
     probabilities: dict[str, float] = field(default_factory=dict)
+    hypotheses: list[tuple[tuple[str, ...], float]] = field(default_factory=list)
     gains: dict[str, float] = field(default_factory=dict)
     rivals: tuple[tuple[str, ...], ...] = ()
 
@@ -246,22 +285,21 @@ def _gains_of(leader: E, judged: Sequence[E], name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What a verdict is decided from: the probabilities of the claimed causes, and what forbids them.
+    """What a verdict is decided from.
 
-    undecidable: why nothing can be concluded, empty if something can; unexplained: noise does not
-    explain what the claimed causes leave, and they depend on how that is described.
+    claimed: probabilities of the leading causes; unnamed: that something without a name acts;
+    undecidable: why nothing can be concluded, empty if something can.
     """
 
     claimed: Mapping[str, float]
+    unnamed: float = 0.0
     undecidable: str = ""
-    unexplained: bool = False
     has_rivals: bool = False
 
 
 def _nothing_named_explains(one: Conclusion, limits: Thresholds) -> bool:
-    surest = max(one.claimed.values(), default=0.0)
-    share = one.claimed.get(UNNAMED, 0.0)
-    return one.unexplained or share >= max(0.5, surest - 1e-9)
+    surest = max((p for name, p in one.claimed.items() if name != UNNAMED), default=0.0)
+    return one.unnamed >= 0.5 and surest < limits.min_named_probability
 
 
 def _a_cause_is_in_doubt(one: Conclusion, limits: Thresholds) -> bool:
@@ -270,8 +308,8 @@ def _a_cause_is_in_doubt(one: Conclusion, limits: Thresholds) -> bool:
 
 RULES: tuple[tuple[Callable[[Conclusion, Thresholds], bool], str], ...] = (
     (lambda one, limits: bool(one.undecidable), "cannot_tell"),
-    (lambda one, limits: not one.claimed and not one.unexplained, "consistent"),
     (_nothing_named_explains, UNNAMED),
+    (lambda one, limits: not one.claimed, "consistent"),
     (_a_cause_is_in_doubt, "ambiguous"),
     (lambda one, limits: True, "named"),
 )
@@ -284,29 +322,37 @@ def kind_of(one: Conclusion, limits: Thresholds = LIMITS) -> str:
 
 
 def decide(judged: Sequence[E], blocks: int) -> Verdict[E]:
-    """Return the verdict on judged hypotheses (the healthy one among them; weighed already)."""
+    """Return the verdict on judged hypotheses, the healthy one among them, and weigh them.
+
+    A hypothesis that is not accepted has no probability; none is where the healthy one explains the data.
+    """
     healthy = next(item for item in judged if not item.ids)
-    accepted = (item for item in judged if _is_accepted(item, healthy, judged, blocks))
-    leader = min(accepted, key=lambda item: item.score, default=healthy)
-    if not leader.ids:
-        return Verdict(kind_of(Conclusion({})), healthy, healthy)
-    probabilities = by_cause(judged)
-    groups = _rivals_of(leader, judged, probabilities)
-    most = _surest_of(leader, healthy)
+    hypotheses = [healthy]
+    if not healthy.is_explained:
+        hypotheses += [i for i in judged if i.ids and _is_accepted(i, healthy, judged, blocks)]
+    for item in judged:
+        item.probability = 0.0
+    leader = min(hypotheses, key=lambda item: item.score)
+    weighed = weigh(hypotheses, healthy)
+    probabilities = by_cause(weighed)
+    groups = _rivals_of(leader, hypotheses, probabilities)
     stated = {
-        name: p if name == UNNAMED else min(p, most)
+        name: p
         for name, p in probabilities.items()
         if name in leader.ids
-        or (p >= LIMITS.min_rival_probability and any(name in group for group in groups))
+        or (
+            p >= LIMITS.min_rival_probability
+            and (name == UNNAMED or any(name in group for group in groups))
+        )
     }
-    if leader.whole.beyond > 0.0:
-        for name in leader.slight:
-            stated[name] = min(stated[name], LIMITS.max_doubted_probability)
-    if UNNAMED in leader.ids:
-        stated[UNNAMED] = min(max(stated[UNNAMED], 1.0 - most), LIMITS.max_probability)
-    conclusion = Conclusion({name: stated[name] for name in leader.ids})
+    conclusion = Conclusion(
+        {name: stated[name] for name in leader.ids},
+        probabilities.get(UNNAMED, 0.0),
+        has_rivals=bool(groups),
+    )
     gains = {name: _gains_of(leader, judged, name)[0] for name in leader.ids}
-    return Verdict(kind_of(conclusion), leader, healthy, leader.ids, stated, gains, groups)
+    kind = kind_of(conclusion)
+    return Verdict(kind, leader, healthy, leader.ids, stated, weighed, gains, groups)
 
 
 def _is_accepted(item: E, healthy: E, judged: Sequence[E], blocks: int) -> bool:
@@ -323,30 +369,9 @@ def _is_accepted(item: E, healthy: E, judged: Sequence[E], blocks: int) -> bool:
         if gain < needed or held_out_gain <= 0.0:
             return False
         slight = 0.5 * LIMITS.min_slight_share * healthy.whole.excess
-        if gain < slight and name in item.slight:
+        if name in item.slight and (gain < slight or item.whole.beyond > 0.0):
             return False
     return True
-
-
-def _surest_of(leader: Explanation, healthy: Explanation) -> float:
-    """Most that a named cause of the leader can be given, by what the leader leaves unexplained.
-
-    A right cause of a slightly other form leaves a small share; next to a non-parametric term a
-    named cause may be no more than a stepping stone.
-    """
-    if UNNAMED in leader.ids:
-        return LIMITS.max_doubted_probability
-    left = leader.whole.beyond / max(healthy.whole.excess, 1e-9)
-    if leader.whole.beyond <= leader.whole.detail or left <= LIMITS.doubt_from_share:
-        return LIMITS.max_probability
-    doubt = min(
-        1.0,
-        np.log(left / LIMITS.doubt_from_share)
-        / np.log(LIMITS.doubt_to_share / LIMITS.doubt_from_share),
-    )
-    return float(
-        LIMITS.max_probability - (LIMITS.max_probability - LIMITS.max_doubted_probability) * doubt
-    )
 
 
 def slight_causes(item: Judged) -> tuple[str, ...]:
@@ -361,15 +386,15 @@ def slight_causes(item: Judged) -> tuple[str, ...]:
 
 
 def _rivals_of(
-    leader: Explanation, judged: Sequence[Explanation], probabilities: dict[str, float]
+    leader: Explanation, hypotheses: Sequence[Explanation], probabilities: dict[str, float]
 ) -> tuple[tuple[str, ...], ...]:
     """Return groups that the data cannot distinguish: each claimed cause with what may replace it."""
     groups = []
-    least = LIMITS.min_contest_share * max(item.probability for item in judged)
+    least = LIMITS.min_contest_share * max(item.probability for item in hypotheses)
     for name in leader.ids:
         rest = set(leader.ids) - {name}
         group = {name}
-        for item in judged:
+        for item in hypotheses:
             if name not in item.ids and item.probability >= least:
                 group |= {
                     other

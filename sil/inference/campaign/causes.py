@@ -10,87 +10,101 @@ from collections.abc import Mapping, Sequence
 from plant.parameters import Number, Parameter, ParameterSet
 from sil.campaign.campaign import Campaign
 from sil.files.quantity import counted
+from sil.inference.campaign.observations import kind_of
 from sil.inference.campaign.terms import form_of
 from sil.inference.candidate import Candidate
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.intervals import intervals
 from sil.inference.model_file import model_file
 from sil.inference.report import Cause, Interval
+from sil.inference.thresholds import UNNAMED
 from sil.inference.verdict import Judged, Verdict
+
+CLASSES = {"position": "mechanics", "oil": "damper", "pressure": "flow restriction"}
+"""Class of something without a name, by the kind of channel in which it shows most."""
 
 
 def causes_of(
     fitter: Fitter, verdict: Verdict[Judged], judged: list[Judged], final: FitResult, workers: int
 ) -> list[Cause]:
-    """Return the claimed causes and their rivals with parameters, most probable first."""
-    if not verdict.claimed:
-        return []
+    """Return the leading causes, their rivals and what has no name, most probable first."""
     causes = []
+    leader = verdict.leader
 
     def add(candidate: Candidate, parameters: dict[str, Interval], evidence: str) -> None:
+        what = candidate.effect.what
+        if candidate.is_term:
+            what = f"{what}, depending on {form_of(candidate).on}"
         probability = verdict.probabilities[candidate.id]
-        kind = candidate.cause_class
-        causes.append(
-            Cause(
-                candidate.id,
-                kind,
-                probability,
-                parameters,
-                evidence,
-                candidate.variant,
-                candidate.effect.what,
-            )
-        )
+        where, kind = candidate.variant, candidate.cause_class
+        causes.append(Cause(candidate.id, kind, probability, parameters, evidence, where, what))
 
-    intervals_by_name = intervals(fitter, final, verdict.leader.whole, workers)
-    for candidate in final.candidates:
-        parameters = intervals_by_name[candidate.name]
-        add(candidate, parameters, sentence(candidate, verdict, judged, parameters))
-    for name in verdict.probabilities:
+    if final.candidates:
+        intervals_by_name = intervals(fitter, final, leader.whole, workers)
+        for candidate in final.candidates:
+            parameters = intervals_by_name[candidate.name]
+            add(candidate, parameters, _evidence(candidate, verdict, parameters))
+    for name, probability in verdict.probabilities.items():
         if name in verdict.claimed:
             continue
-        item = next(i for i in judged if name in i.ids)
+        item = next((i for i in judged if name in i.ids and i.probability > 0.0), None)
+        if item is None:
+            causes.append(_without_a_name(verdict, judged, probability))
+            continue
         candidate = item.training.candidates[item.ids.index(name)]
         parameters = intervals(fitter, item.training, item.whole, 1, profile=False)[candidate.name]
-        behind = item.score - verdict.leader.score
-        add(
-            candidate,
-            parameters,
-            f"{item.name} is {behind:.1f} behind in log evidence",
-        )
+        text = f"{item.name} leaves {item.misfit.rms:.3g} times the noise on held-out strokes"
+        add(candidate, parameters, f"{text}; {leader.name} leaves {leader.misfit.rms:.3g}")
     gains = verdict.gains
     return sorted(causes, key=lambda cause: (-cause.probability, -gains.get(cause.id, 0.0)))
 
 
-def sentence(
-    candidate: Candidate,
-    verdict: Verdict[Judged],
-    judged: Sequence[Judged],
-    parameters: Mapping[str, Interval],
+def _without_a_name(
+    verdict: Verdict[Judged], judged: Sequence[Judged], probability: float
+) -> Cause:
+    """Return what no hypothesis describes: in the equation of the best term, else by channel."""
+    leader = verdict.leader
+    channels = leader.whole.channels
+    name = max(channels, key=lambda item: channels[item].rms)
+    terms = [c for item in judged for c in item.training.candidates if c.is_term]
+    if terms:
+        kind = terms[0].cause_class
+        what = f"{terms[0].effect.what}, depending on {form_of(terms[0]).on}"
+    else:
+        kind = "internal sensor" if name == "position_internal_m" else CLASSES[kind_of(name)]
+        what = f"in {name.rpartition('_')[0].replace('_', ' ')}"
+    text = (
+        f"the best hypothesis, {leader.name}, leaves {leader.whole.rms:.3g} times the noise, most in "
+        f"{name} ({channels[name].rms:.3g})"
+    )
+    return Cause(UNNAMED, kind, probability, {}, text, "", what)
+
+
+def includes_neutral(candidate: Candidate, parameters: Mapping[str, Interval]) -> bool:
+    """Return whether the intervals of a cause contain that nothing is wrong."""
+    sizes = candidate.parameters if candidate.effect.sized_by == "any" else candidate.parameters[:1]
+    if candidate.is_term or candidate.effect.sized_by == "none":
+        return False
+    return all(parameters[item.name].contains(item.neutral) for item in sizes)
+
+
+def _evidence(
+    candidate: Candidate, verdict: Verdict[Judged], parameters: Mapping[str, Interval]
 ) -> str:
-    """Return what supports the cause, and how far the next best explanation is behind."""
+    """Return what supports a leading cause, in figures."""
     if candidate.is_term:
         form = form_of(candidate)
         largest = max(abs(item.value) for item in parameters.values())
-        what = (
-            f"{form.what} depending on {form.on}, up to {largest:.3g} {form.unit}, which no "
-            f"named cause describes"
-        )
+        what = f"{form.what} depending on {form.on}, up to {largest:.3g} {form.unit}"
     else:
         main = candidate.parameters[0].name
         where = f" ({candidate.variant})" if candidate.variant else ""
         what = f"{candidate.effect.what}{where}: {main} {parameters[main]}"
-    text = (
+    return (
         f"{what}; it gains {verdict.gains[candidate.id]:.4g} in log evidence, and on held-out "
         f"strokes the standardised residual falls from {verdict.healthy.misfit.rms:.3g} to "
         f"{verdict.leader.misfit.rms:.3g}"
     )
-    others = [item for item in judged if candidate.id not in item.ids and item.ids]
-    if others:
-        best = min(others, key=lambda item: item.score)
-        behind = best.score - verdict.leader.score
-        text += f"; the next best explanation, {best.name}, is {behind:.0f} behind"
-    return text
 
 
 def extended_model(

@@ -19,24 +19,25 @@ from plant.kernel.layout import LENGTH
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign
 from sil.files.html_table import html_table
-from sil.inference.campaign.causes import causes_of, extended_model
+from sil.inference.campaign.causes import causes_of, extended_model, includes_neutral
 from sil.inference.campaign.checks import Finding, check_strokes, observed
 from sil.inference.campaign.model import CampaignModel
 from sil.inference.campaign.next_experiment import NextExperiment, next_experiment
 from sil.inference.campaign.observations import StrokeObservation
-from sil.inference.campaign.residuals import Gain, gain_between
+from sil.inference.campaign.residuals import gain_between
 from sil.inference.campaign.split import odd_ones_in, split
 from sil.inference.campaign.terms import term_candidate
 from sil.inference.candidate import Candidate, candidates
-from sil.inference.evidence import Misfit, misfit
+from sil.inference.evidence import misfit
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
+from sil.inference.headline import headline, seen_sentence
 from sil.inference.refused import Refusals
-from sil.inference.report import Cause, diagnosis_json, headline
+from sil.inference.report import Cause, Gain, diagnosis_json
 from sil.inference.screening import Detectable, detectable
 from sil.inference.search import Search
 from sil.inference.spread import Spread
 from sil.inference.thresholds import LIMITS
-from sil.inference.verdict import Conclusion, Judged, Verdict, judge, kind_of
+from sil.inference.verdict import Conclusion, Judged, Verdict, decide, judge, kind_of
 from sil.inference.workers import spread_out
 
 FALSE_ALARM_BASIS = (
@@ -69,14 +70,9 @@ class Diagnosis:
     @property
     def headline(self) -> str:
         """The one sentence that a reader needs first."""
-        least: dict[str, Detectable] = {}
-        for item in self.detectable:
-            cause_class = item.candidate.cause_class
-            if cause_class not in least or item.typical_sizes > least[cause_class].typical_sizes:
-                least[cause_class] = item  # of each class the one that hides best
-        common = ("leak", "valve timing", "friction")
-        sizes = [str(least[name]) for name in common if name in least]
-        return headline(self.verdict.kind, self.causes, sizes, self.unable)
+        parameters = [(item, item.candidate.parameters[0]) for item in self.detectable]
+        sizes = [(i.candidate.id, i.value, p.neutral, p.unit) for i, p in parameters]
+        return headline(self.verdict.kind, self.causes, seen_sentence(sizes), self.unable)
 
     def as_json(self) -> dict[str, Any]:
         """Return the object written to diagnosis.json."""
@@ -87,6 +83,10 @@ class Diagnosis:
             self.findings,
             FALSE_ALARM_BASIS,
             headline=self.headline,
+            explains=str(self.gain),
+            hypotheses=[
+                {"causes": list(ids), "probability": p} for ids, p in self.verdict.hypotheses
+            ],
             rivals=[list(group) for group in self.verdict.rivals],
             next_experiment=self.next_experiment and self.next_experiment.as_json(),
             gain=self.gain.as_json(),
@@ -133,20 +133,29 @@ def diagnose(
     judged = search.judged
     # what follows counts in the processes that it runs in
     refusals = Refusals(search.fitter.refusals)
-    wanted = [verdict.healthy, verdict.leader][: 2 if verdict.claimed else 1]
-    healthy, *claimed = spread_out(
-        lambda j: _whole_fit(search.fitter, wanted[j]).light(), range(len(wanted)), workers
-    )
-    (final,) = claimed or [healthy]
-    causes = causes_of(search.fitter, verdict, judged, final, workers)
+    leading = [verdict.leader] if verdict.claimed else []
+    healthy, *claimed = _whole_fits(search.fitter, [verdict.healthy, *leading], workers)
+    while True:
+        (final,) = claimed or [healthy]
+        causes = causes_of(search.fitter, verdict, judged, final, workers)
+        fitted = {(cause.id, cause.variant): cause.parameters for cause in causes}
+        if not verdict.claimed or not any(
+            includes_neutral(item, fitted[item.id, item.variant]) for item in final.candidates
+        ):
+            break
+        judged = [item for item in judged if item is not verdict.leader]
+        verdict = decide(judged, model.size)
+        claimed = _whole_fits(search.fitter, [verdict.leader] if verdict.claimed else [], 1)
     findings += check_strokes(model, final) + left_out(refusals, search, verdict, campaign.name)
-    sizes: list[Detectable] = []
     unable = ""
-    if not verdict.claimed:
-        share = len(training) / len(strokes)
-        gain = LIMITS.needed_gain(len(strokes)) * share
+    gain = LIMITS.needed_gain(len(strokes)) * len(training) / len(strokes)
+    if verdict.claimed:
+        beside = search.unseen_beside(verdict.leader.training)
+        sizes = detectable(search.fitter, None, beside, gain)
+    else:
         sizes = detectable(search.fitter, search.healthy, search.scores, gain)
-        unable = _unable(verdict.healthy.whole, sizes, search)
+    if verdict.kind == "consistent":
+        unable = _unable(sizes, search)
     if unable:
         verdict = replace(verdict, kind=kind_of(Conclusion({}, undecidable=unable)))
         findings.insert(0, Finding(campaign.name, "all", unable))
@@ -203,14 +212,8 @@ def left_out(
     return findings
 
 
-def _unable(whole: Misfit, sizes: Sequence[Detectable], search: Search) -> str:
-    """Return why nothing can be concluded from a campaign in which no cause is claimed, or nothing."""
-    if whole.rms > LIMITS.max_residual_ratio and whole.beyond > 0.0:
-        name = max(whole.channels, key=lambda name: whole.channels[name].rms)
-        return (
-            f"residuals are {whole.rms:.3g} times their expected scatter, most in {name} "
-            f"({whole.channels[name].rms:.3g}), and no explanation removes half of that"
-        )
+def _unable(sizes: Sequence[Detectable], search: Search) -> str:
+    """Return why nothing can be concluded from a campaign in which nothing is found, or nothing."""
     causes = {item.id for item in search.candidates}
     shown = [item for item in sizes if item.typical_sizes < 1.0]
     if search.scores and len(shown) < LIMITS.min_noticeable_share * len(causes):
@@ -254,12 +257,13 @@ def available(strokes: Sequence[StrokeObservation]) -> list[Candidate]:
     return candidates({need for need, present in has.items() if present})
 
 
-def _whole_fit(fitter: Fitter, item: Judged) -> FitResult:
-    """Return the hypothesis fitted to all strokes, from where the training left it."""
-    return fitter.fit(
-        item.training.candidates,
-        start=item.training.shared,
-        scatter=item.both.stroke,
-        iterations=8,
-        fine=True,
-    )
+def _whole_fits(fitter: Fitter, items: Sequence[Judged], workers: int) -> list[FitResult]:
+    """Return hypotheses fitted to all strokes, from where the training left them."""
+
+    def whole(item: Judged) -> FitResult:
+        start, scatter = item.training.shared, item.both.stroke
+        return fitter.fit(
+            item.training.candidates, start=start, scatter=scatter, iterations=8, fine=True
+        ).light()
+
+    return spread_out(whole, items, workers)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from sil.campaign.campaign import Floats
 from sil.inference.campaign.model import CampaignModel, channel_parts
 from sil.inference.campaign.phases import PHASES, phases
 from sil.inference.fit import FitResult
+from sil.inference.report import Gain
 from sil.inference.verdict import Judged, Verdict
 
 
@@ -96,27 +96,6 @@ def _rms(parts: Sequence[Floats]) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
-@dataclass(frozen=True)
-class Gain:
-    """Rms of residuals before and after by channel (in the channel's unit) and standardised."""
-
-    files: tuple[str, ...]
-    channels: dict[str, tuple[float, float]]
-    before: float
-    after: float
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the object `gain` of diagnosis.json."""
-        return {
-            "heldout_strokes": list(self.files),
-            "channels": {
-                name: {"before": before, "after": after, "unit": "rms"}
-                for name, (before, after) in self.channels.items()
-            },
-            "standardised": {"before": self.before, "after": self.after},
-        }
-
-
 def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
     parts: dict[str, list[Floats]] = {}
     for k, block in fit.blocks.items():
@@ -134,9 +113,10 @@ def gain_between(model: CampaignModel, verdict: Verdict[Judged], held_out: tuple
     before = verdict.healthy.held_out_fit or verdict.healthy.training
     after = verdict.leader.held_out_fit or verdict.leader.training
     first, second = _channel_rms(model, before), _channel_rms(model, after)
+    over_noise = verdict.leader.misfit.channels
     return Gain(
         tuple(model.strokes[k].entry.file for k in held_out),
-        {name: (first[name], second[name]) for name in first},
+        {name: (first[name], rms, rms / over_noise[name].rms) for name, rms in second.items()},
         verdict.healthy.misfit.rms,
         verdict.leader.misfit.rms,
     )

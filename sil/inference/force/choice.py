@@ -14,7 +14,7 @@ from sil.inference.force.fit import SURE, Bank, Group, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import CONDITIONS
 from sil.inference.thresholds import LIMITS, UNNAMED
-from sil.inference.verdict import Verdict, decide, weigh
+from sil.inference.verdict import Verdict, decide
 
 ALIKE = 2.0
 """A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""
@@ -54,7 +54,6 @@ def choose(record: Recorded) -> Choice:
     judged = [item for item in tried if acceptable(item, by_names)]
     judged.sort(key=lambda item: item.score)
     while True:
-        weigh(judged)
         verdict = decide(judged, len(tried[0].squares))
         if all(has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):
             return Choice(bank, tried, judged, verdict)

@@ -59,7 +59,7 @@ class Tried(Explanation):
 
     values, deviations: [k] of the body's and the groups' columns; squares: held-out sum of squares
     of each group of strokes [N^2]; noise_n: expected rms of its residual [N]; count: independent
-    samples.
+    samples; is_robust: its causes come out alike whatever describes its residual.
     """
 
     groups: tuple[Group, ...]
@@ -72,6 +72,12 @@ class Tried(Explanation):
     expected_n: float = 1.0
     count: float = 1.0
     probability: float = 0.0
+    is_robust: bool = False
+
+    @property
+    def shared_with_unnamed(self) -> float:
+        """Probability that its causes act if something without a name does."""
+        return LIMITS.robust_share if self.is_robust else LIMITS.pair_prior
 
     @property
     def name(self) -> str:
@@ -346,6 +352,12 @@ class Bank:
     def _of(self, picked: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the products of these columns with each other [f, k, k] and with the target [f, k]."""
         return self._grams[:, picked][:, :, picked], self._sides[:, picked]
+
+    def free_rms(self, group: Group) -> float:
+        """Return the rms of what one unit of a group changes that the body cannot make up [N]."""
+        k = group.columns[0]
+        column = self.columns[:, k] * self.scale[k]
+        return float(np.sqrt(np.mean((column - self._base @ (self._base.T @ column)) ** 2)))
 
     def model_n(self, item: Tried) -> Floats:
         """Return the force of a hypothesis [n] in N, without the stated mass's."""

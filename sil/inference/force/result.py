@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sil.inference.campaign.residuals import Gain
 from sil.inference.force.fit import BODY, POSITIVE, SURE, Bank, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
-from sil.inference.report import Cause, Interval, diagnosis_json, headline
+from sil.inference.headline import headline, seen_sentence
+from sil.inference.report import Cause, Gain, Interval, diagnosis_json
 from sil.inference.thresholds import LIMITS, UNNAMED
-from sil.inference.verdict import Conclusion, Verdict, by_cause, kind_of
+from sil.inference.verdict import Conclusion, Verdict, kind_of
 
 DESCRIBED = 0.2
 """A function describes a residual if it removes this share of its squares."""
@@ -33,7 +33,7 @@ class ForceDiagnosis:
 
     judged: explanations that are physical, the best first; singles: each term alone; doubts: why
     nothing can be concluded; rest: what the leader's residual depends on, and the share of its
-    squares; robust: claimed causes that descriptions of the residual do not change.
+    squares.
     """
 
     record: Recorded
@@ -44,7 +44,6 @@ class ForceDiagnosis:
     singles: Sequence[Tried]
     doubts: tuple[str, ...]
     rest: tuple[str, str, float]
-    robust: tuple[str, ...]
 
     @property
     def leader(self) -> Tried:
@@ -66,44 +65,44 @@ class ForceDiagnosis:
 
     @property
     def verdict(self) -> str:
-        """One of the verdicts of a diagnosis; a residual beyond the noise is never consistent."""
-        verdict, doubts = self.verdict_, "; ".join(self.doubts)
-        probabilities = {name: verdict.probabilities[name] for name in verdict.claimed}
-        if self.leader.whole.beyond == 0.0:
-            return kind_of(Conclusion(probabilities, doubts))
-        robust = dict.fromkeys(self.robust, LIMITS.max_robust_probability)
-        unexplained = set(robust) != set(verdict.claimed) or not robust
-        return kind_of(Conclusion(robust, doubts, unexplained, bool(verdict.rivals)))
+        """One of the verdicts of a diagnosis."""
+        if self.doubts:
+            return kind_of(Conclusion({}, undecidable="; ".join(self.doubts)))
+        return self.verdict_.kind
 
     def body(self) -> dict[str, Interval]:
-        """Return the body's parameters."""
+        """Return the body's parameters, without a mass that the motion does not determine."""
         parameters = {}
         for name in self.leader.body:
             unit = self.record.units.get(BODY[name], BODY[name])
             item = Interval.normal(*self.leader.value(name), unit)
             parameters[name] = replace(item, low=max(0.0, item.low)) if name in POSITIVE else item
+        if "mass_kg" in parameters and self._loose_mass():
+            del parameters["mass_kg"]
         return parameters
+
+    def _loose_mass(self) -> str:
+        """Return why a mass is not stated, empty if it is determined within a quarter."""
+        if "mass_kg" not in self.leader.body:
+            return ""
+        value, deviation = self.leader.value("mass_kg")
+        if 1.96 * deviation <= 0.25 * value:
+            return ""
+        high, unit = value + 1.96 * deviation, self.record.units.get("kg", "kg")
+        return f"not determined, at most {high:.3g} {unit}: faster strokes would determine it"
 
     def causes(self) -> list[Cause]:
         """Return the causes claimed and their rivals, and what no named cause explains."""
         causes = []
-        rest = self.leader.whole.beyond > 0.0
-        shares = by_cause(self.judged)
-        for name, stated in self.verdict_.probabilities.items():
-            if rest and name == UNNAMED and name not in self.leader.ids:
-                continue
+        for name, probability in self.verdict_.probabilities.items():
             item = self.leader
             if name not in item.ids:
-                item = next(other for other in self.judged if name in other.ids)
-            probability = stated
-            if rest and name != UNNAMED:
-                most = LIMITS.max_doubted_probability
-                if name in self.robust:
-                    most = LIMITS.max_robust_probability
-                probability = min(shares[name], most)
+                others = [i for i in self.judged if name in i.ids and i.probability > 0.0]
+                if not others:
+                    causes.append(self._unexplained(probability))
+                    continue
+                item = others[0]
             causes.append(self._cause(name, item, probability))
-        if rest and UNNAMED not in self.leader.ids:
-            causes.append(self._unexplained())
         # what the verdict says comes first
         last = UNNAMED if self.verdict in ("named", "ambiguous") else ""
         return sorted(causes, key=lambda cause: (cause.id == last, -cause.probability))
@@ -137,9 +136,10 @@ class ForceDiagnosis:
             probability,
             {parameter: Interval.normal(value, deviation, unit)},
             text,
+            what=what,
         )
 
-    def _unexplained(self) -> Cause:
+    def _unexplained(self, probability: float) -> Cause:
         """Return the cause of a residual that neither noise nor a named cause explains."""
         item = self.leader
         counts = np.unique(self.record.raw.block[self.record.judged], return_counts=True)[1]
@@ -158,16 +158,19 @@ class ForceDiagnosis:
         return Cause(
             UNNAMED,
             cause_class,
-            LIMITS.max_probability,
+            probability,
             {"force_rms_n": Interval(value, low, high, self.unit)},
             f"{besides}a force of {value:.3g} {self.unit} rms that no named cause explains: the held-out residual is "
             f"{self.over_noise(item):.3g} times the noise of {item.noise_n:.3g} {self.unit} "
             f"({self.error(item):.1%} of the driving force); {where}",
+            what=f"a force of {value:.2g} {self.unit} rms, {self.error(item):.1%} of the driving force",
         )
 
     def refused(self) -> dict[str, str]:
         """Return why terms are not claimed, by name."""
         reasons = dict(self.bank.missing)
+        if why := self._loose_mass():
+            reasons["mass_kg"] = why
         for item in self.singles:
             name = item.groups[0].name
             if set(item.ids) & set(self.verdict_.probabilities):
@@ -188,28 +191,68 @@ class ForceDiagnosis:
         )
         return [*self.doubts, *([left] if self.doubts else []), *self.record.findings, *refused]
 
+    @property
+    def gain(self) -> Gain:
+        """What the leader explains, on groups of strokes held out."""
+        channel = "torque_n_m" if self.record.units else "force_n"
+        leader = self.leader
+        return Gain(
+            (f"every group of {self.record.held_out} in turn",),
+            {channel: (self.plain.rms_n, leader.rms_n, leader.noise_n)},
+            self.over_noise(self.plain),
+            self.over_noise(leader),
+        )
+
+    def detectable(self) -> list[dict[str, Any]]:
+        """Return the smallest size of each cause that would have been claimed, by a linear estimate.
+
+        It gains what a cause must, and exceeds its own error as a cause must.
+        """
+        needed = LIMITS.needed_gain(len(self.plain.squares))
+        sizes: dict[str, dict[str, Any]] = {}
+        for item in self.singles:
+            group = item.groups[0]
+            if group.term is None or group.id in (*self.verdict_.claimed, UNNAMED):
+                continue
+            deviation = float(item.deviations[len(item.body)])
+            free_n = self.bank.free_rms(group)
+            least = (2.0 * needed / item.count) ** 0.5 * max(item.noise_n, item.expected_n) / free_n
+            unit = self.record.units.get(group.term.form.unit, group.term.form.unit)
+            sizes[group.id] = {
+                "id": group.id,
+                "parameter": group.term.form.parameter,
+                "size": max(least, (SURE + 1.28) * deviation),
+                "unit": unit,
+            }
+        return list(sizes.values())
+
+    @property
+    def headline(self) -> str:
+        """The one sentence that a reader needs first."""
+        sizes = [(item["id"], item["size"], 0.0, item["unit"]) for item in self.detectable()]
+        causes = [] if self.doubts else self.causes()
+        return headline(self.verdict, causes, seen_sentence(sizes), "; ".join(self.doubts))
+
     def as_json(self) -> dict[str, Any]:
         """Return the object that diagnosis.json holds."""
-        channel = "torque_n_m" if self.record.units else "force_n"
-        causes = [] if self.doubts else self.causes()
-        gain = Gain(
-            (f"every group of {self.record.held_out} in turn",),
-            {channel: (self.plain.rms_n, self.leader.rms_n)},
-            self.over_noise(self.plain),
-            self.over_noise(self.leader),
-        )
         return diagnosis_json(
             self.record.name,
             self.verdict,
-            causes,
+            [] if self.doubts else self.causes(),
             self.findings(),
             f"a cause gains at least 15 and 1.5 a group of strokes in log evidence on held-out strokes, "
             f"{SURE:g} standard errors over them, and has a physical sign; explained: a residual of at "
             f"most {LIMITS.max_residual_ratio:g} times the noise; measured by python -m tests.bench bodies",
-            headline=headline(self.verdict, causes, [], "; ".join(self.doubts)),
+            headline=self.headline,
+            explains=str(self.gain),
+            hypotheses=[
+                {"causes": list(ids), "probability": p} for ids, p in self.verdict_.hypotheses
+            ],
             rivals=[list(group) for group in self.verdict_.rivals],
-            gain=gain.as_json(),
+            gain=self.gain.as_json(),
             body={name: item.as_json() for name, item in self.body().items()},
-            noise_n=self.plain.noise_n,
+            **{"noise_n_m" if self.record.units else "noise_n": self.plain.noise_n},
+            unexplained_share=self.error(self.leader),
+            detectable=self.detectable(),
             detectability=DETECTABILITY,
         )

@@ -29,7 +29,8 @@ from sil.inference.force.gas import enclosed_gas
 from sil.inference.force.record import Recorded, read_motion
 from sil.inference.force.result import DESCRIBED, ForceDiagnosis
 from sil.inference.force.terms import difference
-from sil.inference.thresholds import LIMITS, UNNAMED
+from sil.inference.thresholds import UNNAMED
+from sil.inference.verdict import decide
 
 GIVING_BACK = ("position", "pressure_gain", "pressure times position")
 """Forces that do no work on the whole when a motion returns."""
@@ -53,16 +54,14 @@ def diagnose_motion(record: Recorded) -> ForceDiagnosis:
     smooth = bank.add_smooth()
     doubts = (*record.doubts, *_doubts(bank, plain, delay))
     rest = ("", "", 0.0)
-    robust: tuple[str, ...] = ()
     doubts = tuple(filter(None, (*doubts, enclosed_gas(bank, leader))))
+    verdict = choice.verdict
     if leader.whole.beyond > 0.0:
         rest = _described(bank, leader, smooth)
-        if leader.whole.excess <= LIMITS.max_unexplained_share * plain.whole.excess:
-            named = [group for group in leader.groups if group.id != UNNAMED]
-            robust = tuple(group.id for group in named if _is_robust(bank, leader, group))
-    return ForceDiagnosis(
-        record, bank, plain, choice.verdict, choice.judged, singles, doubts, rest, robust
-    )
+        named = [group for group in leader.groups if group.id != UNNAMED]
+        leader.is_robust = bool(named) and all(_is_robust(bank, leader, g) for g in named)
+        verdict = decide(choice.judged, len(plain.squares))
+    return ForceDiagnosis(record, bank, plain, verdict, choice.judged, singles, doubts, rest)
 
 
 def _described(bank: Bank, leader: Tried, smooth: Sequence[Group]) -> tuple[str, str, float]:

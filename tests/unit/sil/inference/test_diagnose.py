@@ -72,13 +72,53 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     assert again.verdict.kind == "consistent"
 
 
-@pytest.mark.parametrize("delay_s", [0.003, 0.006])
-def test_late_valves_without_closing_edges_are_named_or_rivals(tmp_path, delay_s: float) -> None:
+FIXED = (("fixed", 900000.0), ("fixed", 600000.0), ("fixed", 750000.0), ("fixed", 900000.0))
+LENGTH = (("N-B", 900000.0), ("B-N", 750000.0), ("N-F", 600000.0), ("F-N", 900000.0))
+CYLINDER = {
+    "acting": (1.0, "-"),
+    "bore": (0.032, "m"),
+    "rod": (0.012, "m"),
+    "stroke": (0.05, "m"),
+    "dead_volume_1": (5e-6, "m^3"),
+    "dead_volume_2": (5e-6, "m^3"),
+    "mass": (0.6, "kg"),
+    "breakaway": (20.0, "N"),
+    "coulomb": (15.0, "N"),
+    "viscous": (30.0, "N s/m"),
+    "spring_rate": (800.0, "N/m"),
+    "spring_preload": (40.0, "N"),
+    "valve_cda_in": (4e-6, "m^2"),
+    "valve_cda_out": (5e-6, "m^2"),
+    "tube_length": (1.0, "m"),
+    "tube_diameter": (0.004, "m"),
+}
+
+
+@pytest.mark.parametrize(
+    ("rig", "delay_s", "closes"),
+    [
+        ("fixed", 0.003, False),
+        ("fixed", 0.006, True),
+        ("length", 0.006, False),
+        ("length", 0.003, True),
+        ("cylinder", 0.003, False),
+        ("cylinder", 0.006, True),
+    ],
+)
+def test_late_valves_are_named_or_rivals(tmp_path, rig: str, delay_s: float, closes: bool) -> None:
     base = load()
+    if rig == "cylinder":
+        lines = [
+            f'{name} = {{ value = {value}, unit = "{unit}", source = "test" }}'
+            for name, (value, unit) in CYLINDER.items()
+        ]
+        model = tmp_path / "cylinder.toml"
+        model.write_text("\n".join(['[base]\nmodel = "nominal"\n[cylinder]', *lines]), "utf-8")
+        base = load(model)
     hidden = {"valve_open_delay": {"delay_s": Parameter(delay_s, "s", "hidden by the test")}}
     parameters = ParameterSet(base.name, base.entries, hidden)
-    fixed = (("fixed", 900000.0), ("fixed", 600000.0), ("fixed", 750000.0), ("fixed", 900000.0))
-    campaign = made(tmp_path / "late", parameters, kinds=fixed, closes=False)
+    kinds = LENGTH if rig == "length" else FIXED
+    campaign = made(tmp_path / "late", parameters, kinds=kinds, closes=closes)
     found = diagnose(campaign, base, workers=1)
     assert found.verdict.kind != "consistent"
     rivals = {name for group in found.verdict.rivals for name in group}

@@ -25,6 +25,8 @@ def entry(
         whole=SimpleNamespace(
             beyond=beyond, excess=excess, detail=200.0, rms=(1.0 + excess / 10000) ** 0.5
         ),
+        is_explained=not ids and excess < 0.0,
+        shared_with_unnamed=LIMITS.pair_prior,
         held_cost=0.5 * held_chi2,
         slight=(),
         training=SimpleNamespace(candidates=[], scaled=[]),
@@ -38,12 +40,13 @@ def named(name: str) -> SimpleNamespace:
 
 
 def verdict(*entries: SimpleNamespace):
-    weigh(entries)
-    return decide(list(entries), 10)
+    found = decide(list(entries), 10)
+    assert sum(p for _ids, p in found.hypotheses) == pytest.approx(1.0)
+    return found
 
 
 def weighed(*entries: SimpleNamespace) -> list[float]:
-    weigh(entries)
+    weigh(entries, entries[-1])
     return [item.probability for item in entries]
 
 
@@ -57,17 +60,37 @@ def test_close_scores_without_misfit_follow_their_evidence() -> None:
 
 
 def test_a_model_error_makes_the_same_difference_say_less() -> None:
-    assert weighed(entry(100.0, 0.0, "a"), entry(130.0, 0.0, "b", beyond=60.0))[0] > 0.99
+    assert weighed(entry(100.0, 0.0, "a"), entry(130.0, 0.0, "b", beyond=60.0))[0] > 0.97
     unsure = (entry(100.0, 0.0, "a", beyond=2000.0), entry(130.0, 0.0, "b", beyond=2060.0))
     assert 0.5 < weighed(*unsure)[0] < 0.7
 
 
 def test_a_cause_collects_every_explanation_that_holds_it() -> None:
-    rivals = [entry(100.0, 0.0, "a", "b"), entry(100.0, 0.0, "a", "c"), entry(400.0, 0.0)]
-    assert sum(weighed(*rivals)) == pytest.approx(1.0)
-    total = by_cause(rivals)
-    assert total["a"] == pytest.approx(1.0, abs=1e-6)
-    assert total["b"] == pytest.approx(0.5, abs=1e-6)
+    total = by_cause([(("a", "b"), 0.4), (("a", "c"), 0.4), (("unnamed",), 0.02), ((), 0.18)])
+    assert total == {"a": 0.8, "b": 0.4, "c": 0.4, "unnamed": 0.02}
+
+
+def test_what_a_hypothesis_leaves_speaks_for_something_without_a_name() -> None:
+    def of(beyond: float) -> dict[str, float]:
+        cause = entry(1000.0, 500.0, "stribeck", beyond=beyond, excess=beyond + 1.0)
+        return verdict(entry(9000.0, 4500.0, excess=16000.0, beyond=15000.0), cause).probabilities
+
+    assert of(0.0)["stribeck"] == pytest.approx(1.0 / 1.02, abs=0.003)
+    assert of(0.0).get("unnamed", 0.0) == 0.0  # less than is stated
+    assert of(400.0)["stribeck"] > 0.6
+    assert of(3000.0)["unnamed"] > 0.9 and of(3000.0)["stribeck"] < 0.2
+
+
+def test_no_cause_is_named_where_the_healthy_model_explains_the_noise() -> None:
+    healthy, cause = entry(1100.0, 550.0, excess=-1.0), entry(1000.0, 500.0, "back_pressure")
+    found = verdict(healthy, cause)
+    assert found.kind == "consistent" and found.claimed == ()
+    assert found.hypotheses[0] == ((), pytest.approx(0.98, abs=0.001))
+
+
+def test_a_healthy_model_that_leaves_much_and_nothing_that_explains_it_is_unnamed() -> None:
+    found = verdict(entry(9000.0, 4500.0, excess=160000.0, beyond=150000.0))
+    assert found.kind == "unnamed" and found.probabilities["unnamed"] > 0.99
 
 
 def test_chance_gains_are_consistent() -> None:
@@ -142,7 +165,7 @@ def test_a_cause_that_leaves_much_is_doubted() -> None:
         entry(4000.0, 2000.0, "stribeck", beyond=6000.0),
     )
     assert found.claimed == ("stribeck",)
-    assert found.probabilities["stribeck"] < 0.5 and found.kind == "ambiguous"
+    assert found.probabilities["stribeck"] < 0.2 and found.kind == "unnamed"
 
 
 def with_sizes(item: SimpleNamespace, *sizes: float) -> SimpleNamespace:
@@ -153,15 +176,13 @@ def with_sizes(item: SimpleNamespace, *sizes: float) -> SimpleNamespace:
     return item
 
 
-def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
+def test_a_tiny_second_cause_is_not_claimed_while_something_is_left() -> None:
     def found(beyond: float):
         pair = entry(400.0, 200.0, "alpha_speed", "dead_volume_passive", beyond=beyond, excess=9.0)
         single = entry(1500.0, 700.0, "alpha_speed")
         return verdict(entry(3000.0, 1500.0, excess=1e5), single, with_sizes(pair, 0.16, 0.03))
 
-    assert found(50.0).probabilities["dead_volume_passive"] == pytest.approx(0.45)
-    assert found(50.0).probabilities["alpha_speed"] > 0.9
-    assert found(50.0).kind == "ambiguous"
+    assert found(50.0).claimed == ("alpha_speed",)
     assert found(0.0).probabilities["dead_volume_passive"] > 0.9
 
 

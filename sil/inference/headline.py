@@ -1,0 +1,137 @@
+"""The one sentence that a reader needs first: causes and sizes as an engineer says them.
+
+Checked by: tests/unit/sil/inference/test_headline.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from sil.files.quantity import quantity
+from sil.inference.thresholds import UNNAMED
+
+if TYPE_CHECKING:
+    from sil.inference.report import Cause, Interval
+
+SENTENCES = {
+    "added_mass": "The stay carries {} more mass",
+    "back_pressure": "The valves discharge against {} above atmosphere",
+    "clock_skew": "The control unit's clock is off by {}",
+    "damper_clog": "The damper's small outlet is {}",
+    "damper_misalignment": "The damper adds {} of friction",
+    "dead_volume_charge": "The charged chamber has {} more volume",
+    "dead_volume_passive": "The discharging chamber has {} more volume",
+    "dynamic_friction": "Sliding friction is {}",
+    "exhaust_clog": "Exhaust flows are {}",
+    "external_force": "A constant force of {} acts on the stay",
+    "free_play": "The free travel on the stay is changed by {}",
+    "friction_asymmetry": "Friction differs with direction by {}",
+    "gauge_line_lag": "Pressure lines lag by {}",
+    "inlet_clog": "Charge flows are {}",
+    "leak_to_atmosphere": "A charged chamber leaks outside through {}",
+    "oil_aeration": "The oil holds {} of air more",
+    "piston_leak": "Air leaks past the piston through {}",
+    "residual_pressure": "A chamber begins {} above atmosphere",
+    "sensor_delay": "The position is published {} late",
+    "sensor_gain": "The position sensor's gain is off by {}",
+    "sensor_temperature": "The sensor's coil is {} warmer than assumed",
+    "static_friction": "Breakaway friction is {}",
+    "stop_wear": "The engaged end stop has moved by {}",
+    "supply_low": "The supply pressure is {} below the stated one",
+    "valve_creep": "The valves' plungers take {} to cross",
+    "valve_delay_pressure": "The valves' opening delay changes with supply pressure by {}",
+    "valve_open_delay": "Valves open {} late",
+    "valve_slow_close": "Valves close {} late",
+}
+"""What a cause means, with a place for its size; others are said by what their effect is."""
+
+SEEN = {
+    "piston_leak": "a leak",
+    "valve_open_delay": "a delay",
+    "dynamic_friction": "friction",
+    "friction_asymmetry": "friction that differs with direction",
+    "stiffness": "a spring",
+}
+"""What would have been seen, the first ones of those that would."""
+
+_UNITS = {"s/Pa": (1e8, "ms/bar"), "m^2": (1e6, "mm²"), "m^3": (1e6, "cm³"), "": (100.0, "%")}
+
+
+def sized(value: float, unit: str) -> str:
+    """Return a value with its unit as it is said, two digits; one without a unit in per cent."""
+    factor, unit = _UNITS.get(unit, (1.0, unit))
+    value *= factor
+    plain, _, shown = quantity(value, unit, 12).partition(" ")
+    number = float(plain)
+    text = f"{number:.0f}" if abs(number) >= 99.5 else f"{number:#.2g}".removesuffix(".")
+    return f"{text} {shown}".rstrip()
+
+
+def size_of(name: str, item: Interval) -> tuple[str, str]:
+    """Return a parameter's value and its interval, e.g. "25 % lower" and "22 to 28 %"."""
+    values, unit = [item.value, item.low, item.high], "" if item.unit == "-" else item.unit
+    word = ""
+    if name == "factor" and item.value > 2.0:
+        return f"{item.value:.2g} times the usual", f"{item.low:.2g} to {item.high:.2g} times"
+    if name == "factor":
+        sign = 1.0 if item.value > 1.0 else -1.0
+        values, word = [sign * (v - 1.0) for v in values], " higher" if sign > 0.0 else " lower"
+    value, *ends = values
+    low, high = (sized(v, unit) for v in sorted(ends))
+    left, _, same = low.partition(" ")
+    if same == high.partition(" ")[2]:
+        low = left
+    return f"{sized(value, unit)}{word}", f"{low} to {high}"
+
+
+def sentence_of(cause: Cause) -> str:
+    """Return what a cause means, with the size of its main parameter and that one's interval."""
+    name, item = next(iter(cause.parameters.items()))
+    text = SENTENCES.get(cause.id)
+    if text is None:
+        text = f"{cause.what or cause.id.replace('_', ' ')}, {name.rpartition('_')[0] or name} {{}}"
+    size, interval = size_of(name, item)
+    return f"{text.format(size)} ({interval})"
+
+
+def seen_sentence(sizes: Iterable[tuple[str, float, float, str]]) -> str:
+    """Return what would have been seen of (id, value, neutral, unit); empty if nothing would."""
+    of = {name: (value, neutral, unit) for name, value, neutral, unit in sizes}
+    names = [name for name in SEEN if name in of][:3] or list(of)[:3]
+    texts = []
+    for name in names:
+        value, neutral, unit = of[name]
+        what = SEEN.get(name, name.replace("_", " "))
+        if neutral:
+            texts.append(
+                f"{what} above {'+' if value > neutral else ''}{sized(value / neutral - 1.0, '')}"
+            )
+        else:
+            texts.append(f"{what} above {sized(abs(value), '' if unit == '-' else unit)}")
+    if not texts:
+        return ""
+    text = f"{', '.join(texts)} would have been seen."
+    return f"{text[0].upper()}{text[1:]}"
+
+
+def headline(verdict: str, causes: Sequence[Cause], seen: str, reason: str) -> str:
+    """Return the one sentence that a reader needs first.
+
+    seen: what would have been seen, as a sentence; reason: why nothing can be concluded.
+    """
+    if verdict == "cannot_tell":
+        return f"These data cannot tell: {reason}."
+    if verdict == "consistent":
+        return f"Nothing found. {seen}".strip()
+    if verdict == UNNAMED:
+        where = next((c.what or c.cause_class for c in causes if c.id == UNNAMED), "")
+        return f"Something is wrong: {where}; no cause of the catalogue fits."
+    named = [cause for cause in causes if cause.id != UNNAMED]
+    first, *others = map(sentence_of, named)
+    joint = "; or " if verdict == "ambiguous" else "; and "
+    text = joint.join([first, *(f"{other[0].lower()}{other[1:]}" for other in others)])
+    text = f"{text[0].upper()}{text[1:]}"
+    if len(named) < len(causes):
+        text += ", besides something that no cause of the catalogue fits"
+    return f"{text}."
