@@ -38,7 +38,7 @@ _SI = {
 _NO_VALUE = (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError)
 
 
-class _Conversion(NamedTuple):
+class Conversion(NamedTuple):
     """Both directions between a field and the raw value of its signal.
 
     Each raises one of `_NO_VALUE` for what has no counterpart; `expected` says what has.
@@ -49,7 +49,7 @@ class _Conversion(NamedTuple):
     expected: str
 
 
-def _number(signal: SignalSpec) -> _Conversion:
+def _number(signal: SignalSpec) -> Conversion:
     factor, offset, mask = signal.factor, signal.offset, signal.mask
     to_si, by = _SI[signal.unit]
     low, high = (round((x - offset) / factor) for x in (signal.minimum, signal.maximum))
@@ -69,10 +69,10 @@ def _number(signal: SignalSpec) -> _Conversion:
         return (raw * factor + offset) * to_si / by
 
     limits = (limit * to_si / by for limit in (signal.minimum, signal.maximum))
-    return _Conversion(to_raw, from_raw, "{:g} to {:g}".format(*limits))
+    return Conversion(to_raw, from_raw, "{:g} to {:g}".format(*limits))
 
 
-def _whole(signal: SignalSpec) -> _Conversion:
+def _whole(signal: SignalSpec) -> Conversion:
     """Return the conversion of a whole number with factor 1."""
     offset = int(signal.offset)
     low, high = int(signal.minimum), int(signal.maximum)
@@ -88,10 +88,10 @@ def _whole(signal: SignalSpec) -> _Conversion:
         return raw + offset
 
     expected = f"a whole number from {signal.minimum} to {signal.maximum}"
-    return _Conversion(to_raw, from_raw, expected)
+    return Conversion(to_raw, from_raw, expected)
 
 
-def _choice(kind: type[int], signal: SignalSpec) -> _Conversion:
+def _choice(kind: type[int], signal: SignalSpec) -> Conversion:
     """Return the conversion of a bool or a member of an enum."""
     last = 1 if kind is bool else int(signal.maximum)  # J1939 has more states of two bits
 
@@ -102,7 +102,7 @@ def _choice(kind: type[int], signal: SignalSpec) -> _Conversion:
 
     to_raw = {False: 0, True: 1}.__getitem__ if kind is bool else member_to_raw  # also of numpy
     from_raw = tuple(kind(raw) for raw in range(last + 1)).__getitem__
-    return _Conversion(to_raw, from_raw, f"a {kind.__name__}")
+    return Conversion(to_raw, from_raw, f"a {kind.__name__}")
 
 
 def _text_to_raw(value: Any) -> int:
@@ -118,28 +118,37 @@ def _text_from_raw(raw: int) -> str:
     return chr(raw & 0xFF) + chr(raw >> 8)
 
 
-_TEXT = _Conversion(_text_to_raw, _text_from_raw, "two characters of codes 0 to 254")
+_TEXT = Conversion(_text_to_raw, _text_from_raw, "two characters of codes 0 to 254")
 """Two characters, the first in the low byte; 255 is no character."""
 
 
-def _optional(inner: _Conversion, signal: SignalSpec) -> _Conversion:
+def missing_from(is_text: bool, signal: SignalSpec) -> int:
+    """Return the first raw value that means error or not available (SAE J1939-71, 5.1)."""
+    return signal.mask if is_text else {2: 2, 8: 0xFE, 16: 0xFE00}[signal.length]
+
+
+def si_factors(signal: SignalSpec) -> tuple[float, float]:
+    """Return numerator and denominator that turn the numbers of a signal's unit into SI."""
+    return _SI[signal.unit]
+
+
+def _optional(inner: Conversion, signal: SignalSpec) -> Conversion:
     """Return that of a J1939 value or None: sent as all ones, received as error or as missing."""
-    # first raw value of a width that means error or not available (SAE J1939-71, 5.1)
-    missing_from = signal.mask if inner is _TEXT else {2: 2, 8: 0xFE, 16: 0xFE00}[signal.length]
+    first_missing = missing_from(inner is _TEXT, signal)
 
     def to_raw(value: Any) -> int:
         return signal.mask if value is None else inner.to_raw(value)
 
     def from_raw(raw: int) -> Any:
-        return None if raw >= missing_from else inner.from_raw(raw)
+        return None if raw >= first_missing else inner.from_raw(raw)
 
-    return _Conversion(to_raw, from_raw, f"{inner.expected} or None")
+    return Conversion(to_raw, from_raw, f"{inner.expected} or None")
 
 
-def _conversion(hint: Any, signal: SignalSpec) -> _Conversion:
+def conversion_of(hint: Any, signal: SignalSpec) -> Conversion:
     """Return the conversion between a field of that type and its signal."""
     if type(None) in get_args(hint):
-        return _optional(_conversion(get_args(hint)[0], signal), signal)
+        return _optional(conversion_of(get_args(hint)[0], signal), signal)
     if hint is str:
         return _TEXT
     if hint is int:
@@ -159,7 +168,7 @@ class _MessageCodec:
         self.can_id = spec.can_id
         self.length = spec.length
         self.conversions = {
-            field: _conversion(hint, signals[field]) for field, hint in hints.items()
+            field: conversion_of(hint, signals[field]) for field, hint in hints.items()
         }
         self.values = attrgetter(*hints)
         self.single = len(hints) == 1

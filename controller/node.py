@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -28,20 +29,75 @@ class Steps(Protocol):
         """Take the inputs of one period and return the messages to send."""
 
 
-class ControllerNode:
-    """The firmware with its end-to-end protected channels; ticks at k times the period.
+class TickingNode(abc.ABC):
+    """A control unit that steps at k times its period.
 
     A frame that arrives at the instant of a tick counts for that tick. All frames of a step are
-    released together, the computation time after the tick. A frame that is corrupt, of a wrong
-    length or out of range is counted by its receiver and otherwise ignored; frames of other
-    identifiers are ignored.
+    released together, the computation time after the tick.
     """
 
     name = "controller"
 
+    def __init__(self, config: FirmwareConfig) -> None:
+        self.config = config
+        self.computation_ns = config.computation_ns
+        """From the start of the latest step until its frames wait for the bus."""
+        self._tick_ns = 0
+        self._has_begun = False
+
+    def start(self) -> int:
+        """Return the time of the first tick, ns."""
+        return self._tick_ns
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        """Take the frames that arrived up to `until_ns`, and step if that is a tick.
+
+        Returns the frames to send with their release times, and the time of the next tick, ns.
+        A later time than the next tick means that the control unit stalled and missed the ticks between;
+        before its first tick it may start at any time. So does a step that takes longer than its period.
+        Raises ValueError for another time beyond the next tick that is none itself.
+        """
+        period_ns = self.config.period_ns
+        if until_ns > self._tick_ns:
+            missed = -(-(until_ns - self._tick_ns) // period_ns)
+            tick_ns = self._tick_ns + missed * period_ns
+            if tick_ns != until_ns and self._has_begun:
+                raise ValueError(f"advance to {until_ns} ns skips the tick at {self._tick_ns} ns")
+            self._tick_ns = tick_ns
+        for arrival_ns, frame in deliveries:
+            self._receive(arrival_ns, frame)
+        if until_ns < self._tick_ns:  # the run ends, or the control unit has just started
+            return [], self._tick_ns
+        self._has_begun = True
+        frames = self._step(until_ns)
+        self._tick_ns += max(1, -(-self.computation_ns // period_ns)) * period_ns
+        released_ns = until_ns + self.computation_ns
+        return [(released_ns, frame) for frame in frames], self._tick_ns
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to release
+        """Nothing to release."""
+
+    @abc.abstractmethod
+    def _receive(self, arrival_ns: int, frame: Frame) -> None:
+        """Take a frame that arrived."""
+
+    @abc.abstractmethod
+    def _step(self, now_ns: int) -> list[Frame]:
+        """Run a step and return the frames to send."""
+
+
+class ControllerNode(TickingNode):
+    """The firmware with its end-to-end protected channels.
+
+    A frame that is corrupt, of a wrong length or out of range is counted by its receiver and otherwise
+    ignored; frames of other identifiers are ignored.
+    """
+
     def __init__(self, config: FirmwareConfig, firmware: Steps | None = None) -> None:
         """Use `firmware` as the program; by default our own."""
-        self.config = config
+        super().__init__(config)
         self.firmware: Steps = Firmware(config) if firmware is None else firmware
         self.outputs: Outputs | None = None
         """Answer of the latest step."""
@@ -55,38 +111,6 @@ class ControllerNode:
         self._protect_blow = Protector(SafetyBlow)
         self._protect_status = Protector(ControllerStatus)
         self._new_pulses: list[PositionPulse] = []
-        self._tick_ns = 0
-
-    def start(self) -> int:
-        """Return the time of the first tick, ns."""
-        return self._tick_ns
-
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[list[tuple[int, Frame]], int]:
-        """Take the frames that arrived up to `until_ns`, and step if that is a tick.
-
-        Returns the frames to send with their release times, and the time of the next tick, ns.
-        A later time than the next tick means that the control unit stalled and missed the ticks between;
-        before its first tick it may start at any time.
-        Raises ValueError for another time beyond the next tick that is none itself.
-        """
-        if until_ns > self._tick_ns:
-            missed = -(-(until_ns - self._tick_ns) // self.config.period_ns)
-            tick_ns = self._tick_ns + missed * self.config.period_ns
-            if tick_ns != until_ns and self.outputs is not None:
-                raise ValueError(f"advance to {until_ns} ns skips the tick at {self._tick_ns} ns")
-            self._tick_ns = tick_ns
-        for arrival_ns, frame in deliveries:
-            self._receive(arrival_ns, frame)
-        if until_ns < self._tick_ns:  # the run ends, or the control unit has just started
-            return [], self._tick_ns
-        self._tick_ns += self.config.period_ns
-        released_ns = until_ns + self.config.computation_ns
-        return [(released_ns, frame) for frame in self._step(until_ns)], self._tick_ns
-
-    def close(self) -> None:
-        """Nothing to release."""
 
     def _receive(self, arrival_ns: int, frame: Frame) -> None:
         receiver = self._receivers.get(frame.can_id)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from math import sqrt
 from typing import Annotated, ClassVar
 
 from controller.settings import bounded
@@ -102,7 +103,7 @@ def release_s(
     first, second = (d0 - d1) / (t1_s - t0_s), (d1 - d2) / (t2_s - t1_s)
     growth = max(0.0, 2.0 * (second - first) / (t2_s - t0_s))
     fall = second + 0.5 * growth * (t2_s - t1_s)
-    last: float = (fall * fall + 2.0 * growth * d2) ** 0.5
+    last = sqrt(fall * fall + 2.0 * growth * d2)
     if last < parameters.least_fall_rad_s2 or fall < 0.5 * parameters.least_fall_rad_s2:
         return None
     return t2_s + 2.0 * d2 / (fall + last)

@@ -30,7 +30,7 @@ COMMANDS = {
     "replay": "feed a recorded log into the firmware and compare; shifts of a truck's log",
     "whatif": "run a study: sweep any values of model, firmware, sensor and bus",
     "identify": "identify flow maps, friction, exponents or oil damper from a campaign",
-    "firmware": "draft a firmware of your own",
+    "firmware": "draft or check a firmware of your own",
     "fmu": "export plant or firmware as a co-simulation unit for other tools",
     "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
     "live": "open a live bench in the browser, on this machine only",

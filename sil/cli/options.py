@@ -33,6 +33,13 @@ class _Setting(argparse.Action):
         namespace.settings = {**namespace.settings, path: value}
 
 
+class _Firmware(argparse.Action):
+    """Takes --firmware FILE as the value `firmware` among those of --set."""
+
+    def __call__(self, _parser: Any, namespace: argparse.Namespace, text: Any, *_: Any) -> None:
+        namespace.settings = {**namespace.settings, "firmware": text}
+
+
 def out(default: str) -> tuple[Argument, Argument]:
     """Return --out and --force; `default` is the folder without them."""
     text = f"folder for the output, made if missing [{default}]"
@@ -49,6 +56,14 @@ SETTINGS = argument(
     "change one value, e.g. valve.D_fall=0.02 or controller.filter=false; repeatable",
     "PATH=VALUE",
     action=_Setting,
+    default={},
+    dest="settings",
+)
+FIRMWARE = argument(
+    "--firmware",
+    "a firmware of your own: FILE.py, FILE.py:CLASS, FILE.c, FILE.wasm; c: the shipped one in C",
+    "FILE",
+    action=_Firmware,
     default={},
     dest="settings",
 )

@@ -58,7 +58,7 @@ ARGUMENTS = (
     argument(
         "--firmware",
         "settings of the firmware (TOML, a scenario, a result.json), a firmware of your own "
-        "(FILE.py or FILE.py:CLASS), or the folder of another checkout with its firmware",
+        "(FILE.py, FILE.py:CLASS, FILE.c or FILE.wasm), or the folder of another checkout with its firmware",
         "FILE",
     ),
     SETTINGS,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sil.cli.draft import NEW, write_draft
-from sil.cli.options import EFFECTS, JSON, MODEL, SEED, SETTINGS, argument, out, say
+from sil.cli.options import EFFECTS, FIRMWARE, JSON, MODEL, SEED, SETTINGS, argument, out, say
 
 if TYPE_CHECKING:
     from sil.simulation.load_scenario import Loaded, Overrides
@@ -51,7 +51,7 @@ ARGUMENTS = (
         "FACTOR",
         type=float,
     ),
-    *(MODEL, EFFECTS, SETTINGS, SEED),
+    *(FIRMWARE, MODEL, EFFECTS, SETTINGS, SEED),
     argument("--strict", "judge changed values of a shipped scenario by its expectations"),
     argument("--junit", "write the checks as JUnit XML", "FILE", type=Path),
     argument("--no-report", "no picture and no page"),

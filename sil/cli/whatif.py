@@ -26,6 +26,7 @@ ARGUMENTS = (
     argument("--workers", "processes (default 1)", "N", type=int, default=1),
     argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
     argument("--resume", "continue the sweep in DIR"),
+    argument("--firmware", "a firmware of your own, as of opc4 run", "FILE"),
     argument("--model", "parameter set or model file [the study's]", "MODEL"),
     *(EFFECTS, *out("runs/STUDY-N"), JSON),
 )
@@ -54,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no STUDY; expected a file or a shipped name, see opc4 whatif --list")
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
-    study = load_study(arguments.study, arguments.effects, arguments.model)
+    study = load_study(arguments.study, arguments.effects, arguments.model, arguments.firmware)
     folder = _folder(study, arguments)
     with Progress("rows") as progress:
         now = run_study(

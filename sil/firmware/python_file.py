@@ -58,8 +58,10 @@ class OwnController:
                 what = "is a folder; expected FILE.py, FILE.py:CLASS, or a checkout"
                 raise InputError(f"firmware: {file}: {what}")
         elif self._path.suffix != ".py" or not self._path.is_file():
-            what = "not a Python file" if self._path.exists() else "no such file"
-            raise InputError(f"firmware: {file}: {what}; expected FILE.py or FILE.py:CLASS")
+            what = "no firmware" if self._path.exists() else "no such file"
+            raise InputError(
+                f"firmware: {file}: {what}; expected FILE.py, FILE.py:CLASS, FILE.c or FILE.wasm"
+            )
         self._server: _Server | None = _take_server()
         settings = msgspec.to_builtins(config)
         try:
@@ -131,12 +133,6 @@ class OwnController:
         name = str(self._path).encode("ascii", "backslashreplace").decode()
         match = re.search(rf'File "{re.escape(name)}", line (\d+)', self._server.stack())
         return f"{self._path}:{match[1]}" if match else str(self._path)
-
-
-def absolute(where: str, folder: Path) -> str:
-    """Return `where` with its file's path taken from a folder."""
-    file, colon, name = where.partition(":")
-    return f"{(folder / file).resolve()}{colon}{name}"
 
 
 class _Server:

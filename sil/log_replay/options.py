@@ -13,7 +13,7 @@ from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_text
 from sil.files.output_folder import RESULT
 from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
-from sil.firmware.python_file import absolute
+from sil.firmware.load import absolute, is_program
 from sil.log_replay.tick_grid import Survey
 from sil.simulation import load_scenario, scenario
 from sil.simulation.load_scenario import Loaded
@@ -83,7 +83,7 @@ def find_settings(
 
 def firmware_of(firmware: str) -> dict[str, Any]:
     """Return a scenario's keys for the program or settings of --firmware. Raises InputError."""
-    if firmware.partition(":")[0].endswith(".py") or Path(firmware).is_dir():
+    if is_program(firmware) or Path(firmware).is_dir():
         return {"firmware": absolute(firmware, Path())}
     if firmware.endswith(".json"):
         table = _read_result(firmware).get("scenario", {}).get("controller")

@@ -19,7 +19,7 @@ from sil.coupling.transports.channel import Participant
 from sil.files.html_table import html_table
 from sil.files.overrides import Settings
 from sil.files.quantity import counted
-from sil.firmware.python_file import OwnController
+from sil.firmware.load import firmware_node
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings
@@ -120,7 +120,7 @@ def replay(request: ReplayRequest) -> ReplayResult:
         reference = None
         if request.reference is not None:
             tree, name = request.reference
-            make = partial(OwnController, str(tree), config, name)
+            make = partial(firmware_node, str(tree), config, name)
             reference = stack.enter_context(closing(Unit(make)))
         plant = _plant(request, ready, grid, plant_receives=_receiving(ready, grid, ticks, "plant"))
         executor = ReplayExecutor(ticks, firmware, config.period_ns, receives, plant, reference)
@@ -258,7 +258,7 @@ def _firmware(ready: ReplaySettings) -> Callable[[], Participant]:
     """Return what starts the control unit under replay."""
     config, program = ready.loaded.scenario.controller, ready.loaded.scenario.firmware
     if program:
-        return partial(OwnController, program, config)
+        return partial(firmware_node, program, config)
     return partial(ControllerNode, config)
 
 

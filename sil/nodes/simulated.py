@@ -203,13 +203,13 @@ class Drifting:
     def __init__(self, participant: Participant, ppm: float) -> None:
         self.name = participant.name
         self.close = participant.close
-        self._inner = participant
+        self.inner = participant
         self._own = _BILLION + round(ppm * 1000)
         self._before_own_ns = self._next_own_ns = 0
 
     def start(self) -> int:
         """Return the simulated instant of its first event, ns."""
-        self._before_own_ns = self._next_own_ns = self._inner.start()
+        self._before_own_ns = self._next_own_ns = self.inner.start()
         return self._simulated(self._next_own_ns)
 
     def advance(self, until_ns: int, deliveries: Received) -> Turn:
@@ -222,7 +222,7 @@ class Drifting:
             period_ns = max(1, self._next_own_ns - self._before_own_ns)
             own_ns += round((self._own_ns(until_ns) - own_ns) / period_ns) * period_ns
         received = [(min(self._own_ns(at), own_ns), frame) for at, frame in deliveries]
-        released, next_own_ns = self._inner.advance(own_ns, received)
+        released, next_own_ns = self.inner.advance(own_ns, received)
         self._before_own_ns, self._next_own_ns = own_ns, next_own_ns
         frames = [(max(until_ns, self._simulated(at)), frame) for at, frame in released]
         return frames, max(until_ns + 1, self._simulated(next_own_ns))

@@ -9,7 +9,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Collection, Container
+from collections.abc import Callable, Collection, Container, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -42,6 +42,7 @@ from sil.simulation.scenario import Scenario, expanded
 if TYPE_CHECKING:
     from plant.node import PlantConfig
     from sil.coupling.transports.remote import RemoteChannel
+    from sil.firmware.cost import Cost
 
 SCENARIO = "scenario.json"
 REMOTE = ("controller", "plant")
@@ -152,10 +153,11 @@ class RecordedPlant:
         self._files.close()
 
 
-def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
+def make_participant(name: str, loaded: Loaded, folder: Path | None) -> Participant:
     """Return one participant of a scenario, its clock as the scenario says.
 
-    The plant records into `folder`, and its clock is simulated time. Raises InputError for an
+    Plant and firmware in C record into `folder`, None for no records of the latter; the plant's clock
+    is simulated time. Raises InputError for an
     unknown name, or if the participant refuses its settings.
     """
     participant = _on_time(name, loaded, folder)
@@ -163,7 +165,7 @@ def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
     return participant if ppm == 0.0 else Drifting(participant, ppm)
 
 
-def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
+def _on_time(name: str, loaded: Loaded, folder: Path | None) -> Participant:
     scenario = loaded.scenario
     if name == "driver":
         schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
@@ -176,9 +178,9 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
         return DriverNode(initial, schedule, to_ns(driver.period_s), to_ns(driver.phase_s))
     if name == "controller":
         if scenario.firmware:
-            from sil.firmware.python_file import OwnController
+            from sil.firmware.load import firmware_node
 
-            return OwnController(scenario.firmware, scenario.controller)
+            return firmware_node(scenario.firmware, scenario.controller, folder=folder)
         return ControllerNode(scenario.controller)
     if name == "traffic":
         bus = scenario.bus
@@ -191,7 +193,18 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
             f"{loaded.source}: bus.guest: its program joins over a channel only; "
             "expected opc4 run --transport local:NAME or a CAN interface"
         )
+    assert folder is not None
     return RecordedPlant(loaded, folder)
+
+
+def firmware_cost(participants: Iterable[Participant]) -> Cost | None:
+    """Return what the steps of the control unit cost; None for one in Python."""
+    for node in participants:
+        node = node.inner if isinstance(node, Drifting) else node
+        if node.name == "controller" and hasattr(node, "cost"):
+            cost: Cost = node.cost()
+            return cost
+    return None
 
 
 def warm_up(loaded: Loaded) -> None:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from sil.coupling.lockstep import Lockstep
 from sil.coupling.transports.channel import InProcess
 from sil.files.html_table import html_table
 from sil.files.quantity import counted, quantity
+from sil.firmware.cost import Cost, cost_metrics
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
 from sil.recording.run_record import Floats, PlantEvent, RunRecord
 from sil.simulation import build, metrics
@@ -50,6 +50,8 @@ class Run:
     """The metrics of result.json."""
     balances: dict[str, Any]
     rows: np.ndarray
+    firmware: Cost | None = None
+    """What the steps of a firmware in C cost."""
 
     @cached_property
     def checks(self) -> list[Check]:
@@ -146,7 +148,7 @@ def run_in_memory(loaded: Loaded) -> Run:
         trace_rows_at_once=1 << 14,  # they are read only after the run
     )
     participants = [
-        node if name == "plant" else build.make_participant(name, loaded, Path())
+        node if name == "plant" else build.make_participant(name, loaded, None)
         for name in build.participant_names(scenario)
     ]
     plan = FaultPlan(scenario.fault, scenario.seed)
@@ -172,7 +174,8 @@ def run_in_memory(loaded: Loaded) -> Run:
     balances = next((dict(e.values) for e in events if e.name == "balance"), {})
     switchings = metrics.valve_switchings(record)
     figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, len(frames))
-    return Run(loaded, record, shifts, figures, balances, rows)
+    cost = build.firmware_cost(participants)
+    return Run(loaded, record, shifts, figures | cost_metrics(cost), balances, rows, cost)
 
 
 def checks_of(

@@ -16,7 +16,7 @@ from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files.overrides import Settings, leaf_paths, set_value
 from sil.files.quantity import unit_of
 from sil.files.units import without_units
-from sil.firmware.python_file import absolute
+from sil.firmware.load import absolute
 from sil.simulation.scenario import Scenario, check_consistent
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ from can_dbc.messages import (
     ValveCommand,
 )
 from sil.coupling.clock import NS_PER_S
+from sil.firmware import cost
 from sil.recording.interpolation import hermite, monotone_slopes
 from sil.recording.run_record import CHAMBERS, Floats, M, PlantEvent, RunRecord
 from sil.recording.runs import true_runs
@@ -64,6 +65,7 @@ METRICS = {
     "air_used_kg": "air used",
     "valve_switchings": "valve switchings",
     "frames": "frames on the bus",
+    **cost.METRICS,
 }
 """Numbers of the summary: of all shifts, of the last one (`LAST`), of the run as a whole."""
 

@@ -15,6 +15,7 @@ import msgspec
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import RESULT, finite
 from sil.files.quantity import comparison
+from sil.firmware.cost import Cost
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,6 +47,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     versions: dict[str, str]
     bus: dict[str, Any] = {}
     balances: dict[str, Any] = {}
+    firmware: Cost | None = None
+    """What the steps of a firmware in C cost."""
     speed: dict[str, float] = {}
     scenario: Any
     model: Any

@@ -22,6 +22,7 @@ from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.real_time import Pacer
 from sil.files.atomic import open_atomically, write_atomically
 from sil.files.progress import Progress
+from sil.firmware.cost import COST, cost_metrics, read_cost
 from sil.recording.end_to_end import EndToEnd
 from sil.recording.recorder import (
     BUS_FRAMES,
@@ -181,7 +182,7 @@ def _reason(error: BaseException, loaded: Loaded, folder: Path, has_frames: bool
 def _discard(folder: Path) -> None:
     """Remove what a run that could not begin has put into its folder."""
     records = (BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS)
-    for name in (SCENARIO, *records, CLOCK_ZERO, "result.json"):
+    for name in (SCENARIO, *records, CLOCK_ZERO, COST, "result.json"):
         (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # not empty: it was there before us
         folder.rmdir()
@@ -204,6 +205,7 @@ def _judge(
     figures: dict[str, Any] = {}
     checks: list[Check] = []
     balances: dict[str, Any] = {}
+    cost = read_cost(folder)
     with contextlib.ExitStack() as closing:
         recorded = _reader(loaded, folder, closing)
         if recorded is not None:
@@ -217,6 +219,7 @@ def _judge(
             bus["end_to_end"] = checked.counts()
             record, balances = recorded.piece(0), dict(recorded.balances)
             figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, log.frames)
+            figures |= cost_metrics(cost)
             if why is None:
                 checks = checks_of(loaded, observed, shifts, figures)
                 checks += _balance_checks(balances)
@@ -246,6 +249,7 @@ def _judge(
         trace_sha256=trace_sha256(log.digest(), folder / PLANT_TRACE) if complete else None,
         bus=bus,
         balances=balances,
+        firmware=cost,
         speed=speed,
         status="passed" if passed else "failed" if complete else "incomplete",
     )

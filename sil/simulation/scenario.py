@@ -104,8 +104,9 @@ class Scenario(_Table, frozen=True, kw_only=True):
     sensor: SensorConfig = SensorConfig()
     controller: FirmwareConfig = FirmwareConfig()
     firmware: str = ""
-    """FILE.py or FILE.py:CLASS of a user's own firmware in place of ours, or the folder of another
-    checkout of this project with its firmware, relative to the scenario; empty for ours."""
+    """FILE.py, FILE.py:CLASS, FILE.c or FILE.wasm of a user's own firmware in place of ours, or the
+    folder of another checkout of this project with its firmware, relative to the scenario; c for ours
+    in C, empty for ours in Python."""
     bus: BusTable = BusTable()
     clock: ClockTable = ClockTable()
     fault: list[BusFault] = []

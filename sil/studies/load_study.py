@@ -11,6 +11,7 @@ from msgspec import structs
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files.units import without_units
+from sil.firmware.load import absolute
 from sil.simulation import load_scenario
 from sil.studies.baseline import check_baseline
 from sil.studies.study import ScenarioStudy, Study, StudyFile, check_rows, filled
@@ -22,10 +23,16 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def load_study(where: str, effects: Sequence[str] = (), model: str | None = None) -> Study:
+def load_study(
+    where: str,
+    effects: Sequence[str] = (),
+    model: str | None = None,
+    firmware: str | None = None,
+) -> Study:
     """Read a study file, or a shipped study by name.
 
-    effects: files of a user's own effects; model: parameter set or model file instead of the study's.
+    effects: files of a user's own effects; model: parameter set or model file instead of the study's;
+    firmware: program instead of that of the study's scenario.
 
     Raises InputError with file, location, what is wrong and what was expected.
     """
@@ -52,7 +59,12 @@ def load_study(where: str, effects: Sequence[str] = (), model: str | None = None
         if name not in file.columns():
             unknown = unknown_name(name, file.columns())
             raise InputError(f"{path}: reads[{k}]: {name!r} is {unknown}")
-    return Study(file, str(path), _base_of(file, path))
+    base = _base_of(file, path)
+    if firmware is not None:
+        if base is None:
+            raise InputError(f"{path}: --firmware: the study runs no firmware; expected none")
+        base = {**base[0], "firmware": absolute(firmware, Path())}, base[1]
+    return Study(file, str(path), base)
 
 
 def read_file(table: dict[str, Any], source: str) -> StudyFile:

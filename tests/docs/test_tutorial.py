@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ STEP = re.compile(r"```(sh|toml|python|c)\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"(?:#|/\*) file: (\S+)")
 ELSEWHERE = ("make demo", "export PATH")
 """Installing is what CI itself begins with."""
+
+HAS_C = find_spec("wasmtime") is not None and find_spec("ziglang") is not None
 
 pytestmark = pytest.mark.slow
 
@@ -45,10 +47,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
             path.write_text(text, encoding="utf-8")
             continue
         for words, expected in commands(text):
-            if words[0] == "cc":
-                subprocess.run([*words, "-Werror"], cwd=folder, check=True)
-            else:
-                assert words[0] == "opc4"
+            assert words[0] == "opc4"
+            if "own.c" not in words or HAS_C:
                 run = run_opc4(folder, *words[1:], timeout=1200.0)
                 assert run.returncode == expected, run.stderr + run.stdout
             output.append(" ".join(words))
@@ -61,9 +61,9 @@ def result(folder: Path) -> dict[str, Any]:
 
 
 def test_every_step_was_run(done: tuple[Path, list[str]]) -> None:
-    assert len(done[1]) == 12
+    assert len(done[1]) == 13
     assert {words.split()[1] for words in done[1] if words.startswith("opc4")} == {
-        *("run", "whatif", "simulate", "diagnose"),
+        *("run", "whatif", "simulate", "diagnose", "firmware"),
     }
 
 
@@ -98,10 +98,10 @@ def test_the_diagnosis_finds_the_late_valve(done: tuple[Path, list[str]]) -> Non
 
 
 def test_own_controllers_shift_and_are_one(done: tuple[Path, list[str]]) -> None:
-    names = ("own", "own_in_its_process", "own_in_c")
-    runs = [result(done[0] / name) for name in names]
+    runs = [result(done[0] / name) for name in ("own", "own_in_its_process")]
     assert all(run["passed"] for run in runs)
     assert len({run["trace_sha256"] for run in runs}) == 1
+    assert not HAS_C or result(done[0] / "own_in_c")["passed"]
 
 
 def test_the_cells_print_what_they_say(
@@ -121,5 +121,5 @@ def test_the_cells_print_what_they_say(
 
 def test_every_step_says_its_minutes() -> None:
     steps = re.findall(r"^## \d+\. (.*)$", TUTORIAL, re.MULTILINE)
-    assert len(steps) == 8
-    assert all(re.search(r"\(\d+ minutes\)$", step) for step in steps[:7])
+    assert len(steps) == 7
+    assert all(re.search(r"\(\d+ minutes\)$", step) for step in steps[:6])

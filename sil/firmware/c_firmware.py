@@ -1,0 +1,174 @@
+"""A firmware in C or WebAssembly as a control unit on the bus, with what its steps cost.
+
+C is compiled twice: the sanitised build runs ahead of the plain one with the same frames, and both
+must answer alike. Checked by: tests/unit/sil/firmware/test_c_firmware.py
+"""
+
+from __future__ import annotations
+
+import json
+from array import array
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from controller import c_settings
+from controller.config import FirmwareConfig
+from controller.node import TickingNode
+from sil.coupling.transports.channel import ParticipantLost
+from sil.files.atomic import write_atomically
+from sil.firmware.compiler import compiled
+from sil.firmware.contract import MAX_ARRIVED, Step, received
+from sil.firmware.cost import COST, Cost
+from sil.firmware.findings import FirmwareFailure
+from sil.firmware.wasm import Answer, Instance, Module, read_module
+
+SIGNALS = "firmware.csv"
+
+
+class State(NamedTuple):
+    """A saved state: next tick, ns; frames that wait for it; counters; memory of each build."""
+
+    tick_ns: int
+    pending: tuple[tuple[int, Frame], ...]
+    counts: tuple[int, int, bool]
+    memories: tuple[bytes, ...]
+
+
+class CController(TickingNode):
+    """A control unit whose program is FILE.c or FILE.wasm.
+
+    Raises InputError for a file that is no firmware, and ParticipantLost when the firmware fails, both
+    with file and line, or the function's name where the module does not say more.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        config: FirmwareConfig,
+        name: str = "controller",
+        folder: Path | None = None,
+    ) -> None:
+        """Start the firmware; cost and signals are written into `folder`, if given, at the end."""
+        super().__init__(config)
+        self.name = name
+        self._path = path
+        self._folder = folder
+        self._signals: list[tuple[int, dict[str, float]]] = []  # time in ns and what was traced
+        self._pending: list[tuple[int, Frame]] = []
+        self._lost = 0
+        self._steps = 0
+        self._instructions = array("I")
+        self._worst = Step(0, (), 0)
+        try:
+            settings = c_settings.content(config)
+            self._instances = [Instance(module, settings) for module in modules(path)]
+        except FirmwareFailure as failure:
+            raise ParticipantLost(name, f"failed: {self._shown(failure)}, in fw_init").at(
+                0
+            ) from None
+
+    def _shown(self, failure: FirmwareFailure) -> str:
+        """Return the failure with the path of the source, from the current folder, before it."""
+        text, path = str(failure), self._path
+        if path.is_relative_to(Path.cwd()):
+            path = path.relative_to(Path.cwd())
+        file = text.partition(":")[0]
+        in_folder = path.parent / file
+        return f"{in_folder}{text[len(file) :]}" if in_folder.is_file() else f"{path}: {text}"
+
+    def _receive(self, arrival_ns: int, frame: Frame) -> None:
+        if frame.can_id in received():
+            self._pending.append((arrival_ns, frame))
+
+    def _step(self, now_ns: int) -> list[Frame]:
+        self._lost += max(0, len(self._pending) - MAX_ARRIVED)
+        step = Step(now_ns, tuple(self._pending[-MAX_ARRIVED:]), self._lost)
+        self._pending.clear()
+        try:
+            answers = [instance.step(step) for instance in self._instances]
+            _compare(answers)
+        except FirmwareFailure as failure:
+            what = f"failed: {self._shown(failure)}, tick {self._steps}"
+            raise ParticipantLost(self.name, what) from None
+        answer = answers[-1]
+        if not self._instructions or answer.instructions > max(self._instructions):
+            self._worst = step
+        self._instructions.append(answer.instructions)
+        self._steps += 1
+        if answer.signals:
+            self._signals.append((now_ns, answer.signals))
+        return answer.frames
+
+    def cost(self) -> Cost:
+        """Return what the steps so far have cost."""
+        counts = self._instructions
+        return Cost(
+            steps=len(counts),
+            mean_instructions=sum(counts) / max(1, len(counts)),
+            max_instructions=max(counts, default=0),
+            max_at_s=self._worst.now_ns / 1e9,
+            max_inputs=[f"{can_id:08X}#{data.hex()}" for _, (can_id, data) in self._worst.frames],
+            stack_bytes=self._instances[-1].stack_bytes,
+            memory_bytes=self._instances[-1].memory_bytes,
+        )
+
+    def close(self) -> None:
+        """Write cost and signals."""
+        folder, self._folder = self._folder, None
+        if folder is None:
+            return
+        write_atomically(folder / COST, json.dumps(msgspec.to_builtins(self.cost())))
+        if self._signals:
+            names = list(dict.fromkeys(name for _, values in self._signals for name in values))
+            rows = [",".join(("time_s", *names))]
+            for now_ns, values in self._signals:
+                row = (repr(values[name]) if name in values else "" for name in names)
+                rows.append(",".join((f"{now_ns / 1e9:.9f}", *row)))
+            write_atomically(folder / SIGNALS, "\n".join(rows) + "\n")
+
+    def snapshot(self) -> State:
+        """Return the whole state."""
+        counts = (self._lost, self._steps, self._has_begun)
+        memories = tuple(instance.snapshot() for instance in self._instances)
+        return State(self._tick_ns, tuple(self._pending), counts, memories)
+
+    def restore(self, state: State) -> None:
+        """Continue from a state of the same firmware with the same settings."""
+        self._tick_ns, self._pending = state.tick_ns, list(state.pending)
+        self._lost, self._steps, self._has_begun = state.counts
+        for instance, memory in zip(self._instances, state.memories, strict=True):
+            instance.restore(memory)
+
+
+def modules(path: Path) -> tuple[Module, ...]:
+    """Return the builds of a firmware, the plain one last; what has not changed is not built again.
+
+    Raises InputError for a file that is no firmware.
+    """
+    try:
+        changed_ns = path.stat().st_mtime_ns
+    except OSError:
+        raise InputError(f"firmware: {path}: no such file; expected FILE.c or FILE.wasm") from None
+    return _modules(path, changed_ns)
+
+
+@lru_cache(maxsize=16)
+def _modules(path: Path, changed_ns: int) -> tuple[Module, ...]:
+    if path.suffix == ".wasm":
+        return (Module(read_module(path), str(path)),)
+    plain = Module(compiled(path), str(path))
+    return (Module(compiled(path, sanitised=True), str(path)), plain)
+
+
+def _compare(answers: list[Answer]) -> None:
+    """Raise FirmwareFailure unless all builds answered alike."""
+    if answers[0].frames != answers[-1].frames:
+        raise FirmwareFailure(
+            "plain and sanitised build send different frames: a variable without a value, or other "
+            "undefined behaviour that is not caught"
+        )

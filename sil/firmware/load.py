@@ -1,0 +1,46 @@
+"""Which way a firmware is plugged in: by the ending of its file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import controller
+
+if TYPE_CHECKING:
+    from controller.config import FirmwareConfig
+    from sil.coupling.transports.channel import Participant
+
+SHIPPED_IN_C = Path(controller.__file__).parent / "c" / "opc4.c"
+IN_C = "c"
+"""In place of a file: the shipped firmware in C."""
+
+
+def firmware_node(
+    where: str, config: FirmwareConfig, name: str = "controller", folder: Path | None = None
+) -> Participant:
+    """Return the control unit with a firmware of the user: FILE.py, FILE.py:CLASS, FILE.c, FILE.wasm, a checkout.
+
+    One in C writes into `folder`, if given, what its steps cost and the signals that it traced.
+    Raises InputError for a file that cannot be loaded, and ParticipantLost when its start fails.
+    """
+    if Path(where).suffix in (".c", ".wasm"):
+        from sil.firmware.c_firmware import CController
+
+        return CController(Path(where), config, name, folder)
+    from sil.firmware.python_file import OwnController
+
+    return OwnController(where, config, name)
+
+
+def is_program(where: str) -> bool:
+    """Return whether a name is that of a program, rather than of a file with settings."""
+    return where == IN_C or where.partition(":")[0].endswith((".py", ".c", ".wasm"))
+
+
+def absolute(where: str, folder: Path) -> str:
+    """Return `where` with its file's path taken from a folder."""
+    if where == IN_C:
+        return str(SHIPPED_IN_C)
+    file, colon, name = where.partition(":")
+    return f"{(folder / file).resolve()}{colon}{name}"

@@ -1,0 +1,239 @@
+"""Firmware in C and WebAssembly: the same bits as in Python, and a place in the source when it fails."""
+
+from __future__ import annotations
+
+import random
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from can_dbc.errors import InputError
+from controller.c_settings import STRATEGIES
+from controller.config import FirmwareConfig, load_config
+from sil.cli import main
+from sil.coupling.transports.channel import ParticipantLost
+from sil.firmware import contract
+from sil.firmware.load import SHIPPED_IN_C, firmware_node
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.load_scenario import Loaded, load, shipped
+from tests.conftest import ROOT
+from tests.faults.drawn import draw
+from tests.support.twins import run_with_twins
+
+wasmtime = pytest.importorskip("wasmtime", reason="extra c")
+pytest.importorskip("ziglang", reason="extra c")
+
+DRAFT = ROOT / "sil" / "cli" / "drafts" / "firmware.c"
+FAULTS = ROOT / "tests" / "foreign_controller" / "faults.c"
+MS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def faults_wasm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The twelve faults as a plain module, which has no source beside it."""
+    from sil.firmware.compiler import compiled
+
+    path = tmp_path_factory.mktemp("built") / "faults.wasm"
+    path.write_bytes(compiled(FAULTS))
+    return path
+
+
+def in_c(loaded: Loaded) -> bool:
+    return loaded.scenario.controller.strategy in STRATEGIES
+
+
+def varied(number: int) -> Loaded:
+    """A drawn shift with faults, by a strategy of the firmware in C and other settings of it."""
+    rng = random.Random(f"settings {number}")
+    loaded = draw(number)
+    table = {
+        "strategy": STRATEGIES[number % len(STRATEGIES)],
+        "period_s": rng.choice((0.01, 0.01, 0.005, 0.0025, 0.02)),
+        "filter": {"enabled": rng.random() < 0.7, "order": rng.randint(1, 8)},
+        "shift": {"retries": rng.randint(0, 2), "wait_for_sync": rng.random() < 0.3},
+        "blow": {"cut": rng.choice(("none", "sync", "confirmation"))},
+    }
+    import msgspec
+
+    controller = load_config(table, "varied")
+    scenario = msgspec.structs.replace(loaded.scenario, controller=controller)
+    return Loaded(scenario, loaded.parameters, loaded.source)
+
+
+def test_the_shipped_firmware_in_c_gives_the_same_trace() -> None:
+    for name in ("full_shift", "strategy_synchro_brake"):
+        hashes = {
+            run_in_memory(load(name, settings=settings)).trace_sha256
+            for settings in ({}, {"firmware": "c"})
+        }
+        assert len(hashes) == 1, name
+
+
+def test_drawn_shifts_with_faults_send_the_same_frames() -> None:
+    for number in range(len(STRATEGIES)):
+        run_with_twins(varied(number), str(SHIPPED_IN_C))
+
+
+@pytest.mark.slow
+def test_every_shipped_scenario_sends_the_same_frames() -> None:
+    scenarios = [loaded for name in shipped() if in_c(loaded := load(name))]
+    assert len(scenarios) > 20
+    for loaded in scenarios:
+        run_with_twins(loaded, str(SHIPPED_IN_C))
+
+
+@pytest.mark.slow
+def test_hundreds_of_drawn_shifts_with_faults_send_the_same_frames() -> None:
+    for number in range(5, 300):
+        run_with_twins(varied(number), str(SHIPPED_IN_C))
+
+
+def test_the_draft_shifts_and_its_steps_cost_the_same_every_time() -> None:
+    costs = []
+    for _ in range(2):
+        run = run_in_memory(load("lab_n_b", settings={"firmware": str(DRAFT)}))
+        assert run.shifts[-1].confirmed_s is not None
+        costs.append(run.firmware)
+    assert costs[0] == costs[1] and costs[0] is not None
+    assert 1000 < costs[0].mean_instructions < costs[0].max_instructions < 20_000
+    assert 0 < costs[0].stack_bytes < 1000
+
+
+MARKED = {
+    11: ("null", "null pointer"),
+    12: ("array", "array index out of bounds"),
+    13: ("pointer", "null or misaligned pointer, or one to too small an object"),
+    14: ("overflow", "signed integer overflow"),
+    15: ("shift", "shift by a negative or too large number"),
+    16: ("division", "division by zero"),
+    17: ("loop", "endless loop: more than 50000000 instructions"),
+    18: ("recursion", "stack overflow"),
+    19: (None, "plain and sanitised build send different frames"),
+    20: ("length", "frame of more than 8 bytes"),
+    21: ("flood", "more frames in a step than a bus takes"),
+    22: ("nan", "ValveCommand.duty_n cannot be sent; expected 0 to 1"),
+}
+"""What each fault is called, and the comment in its line."""
+CAUGHT_IN_WASM = (17, 18, 20, 21, 22)
+
+
+def step_with_fault(path: Path, which: int) -> None:
+    """Step a control unit past its fault, which is at 50 ms."""
+    node = firmware_node(str(path), load_config({"windows": {"samples": which}}, "faults"))
+    for tick in range(8):
+        node.advance(10 * MS * tick, [])
+
+
+@pytest.mark.parametrize("which", MARKED)
+def test_a_fault_in_c_is_reported_with_its_place(which: int) -> None:
+    mark, what = MARKED[which]
+    lines = FAULTS.read_text().splitlines()
+    line = next((k for k, text in enumerate(lines, 1) if f"/* {mark} */" in text), None)
+    with pytest.raises(ParticipantLost) as failed:
+        step_with_fault(FAULTS, which)
+    place = "" if line is None else rf":({line}|{line - 1})(:\d+)?"
+    assert re.search(rf"failed: .*faults\.c{place}: {what}.*, tick 5$", str(failed.value))
+
+
+@pytest.mark.parametrize("which", MARKED)
+def test_a_fault_in_a_module_is_reported_or_harms_nobody(which: int, faults_wasm: Path) -> None:
+    if which in CAUGHT_IN_WASM:
+        with pytest.raises(ParticipantLost, match=rf"{MARKED[which][1]}.*, tick 5"):
+            step_with_fault(faults_wasm, which)
+    else:
+        step_with_fault(faults_wasm, which)
+
+
+def test_the_command_ends_with_3_and_the_next_run_is_not_affected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", "lab_n_b", "--no-report", "--set", f"firmware={FAULTS}"]
+    words += ["--set", "controller.windows.samples=14", "--out", str(tmp_path / "out")]
+    before = run_in_memory(load("lab_n_b", settings={"firmware": "c"})).trace_sha256
+    assert main(words) == 3
+    complaint = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(
+        r"faults\.c:35:22: signed integer overflow, tick 5 \(at 0\.050000 s sim", complaint
+    )
+    assert run_in_memory(load("lab_n_b", settings={"firmware": "c"})).trace_sha256 == before
+
+
+def refused(content: bytes, folder: Path) -> str:
+    path = folder / "own.wasm"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as error:
+        firmware_node(str(path), FirmwareConfig())
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def module(more: str = "", *, number: int | None = None, pages: int = 2) -> bytes:
+    number = contract.contract_number() if number is None else number
+    content = "".join(f"\\{byte:02x}" for byte in number.to_bytes(4, "little"))
+    text = f"""(module {more} (memory (export "memory") {pages})
+        (data (i32.const 8) "{content}")
+        (global (export "fw_in") i32 (i32.const 16)) (global (export "fw_out") i32 (i32.const 62000))
+        (global (export "fw_contract") i32 (i32.const 8))
+        (func (export "fw_init")) (func (export "fw_step")))"""
+    return bytes(wasmtime.wat2wasm(text))
+
+
+def test_bad_modules_are_refused_in_one_line(tmp_path: Path, faults_wasm: Path) -> None:
+    (tmp_path / "good.wasm").write_bytes(module())
+    assert firmware_node(str(tmp_path / "good.wasm"), FirmwareConfig()).start() == 0
+    wasi = (
+        '(import "wasi_snapshot_preview1" "fd_write" (func (param i32 i32 i32 i32) (result i32)))'
+    )
+    printf = '(import "env" "printf" (func (param i32 i32) (result i32)))'
+    for content, complaint in (
+        (b"#include", "not WebAssembly"),
+        (faults_wasm.read_bytes()[:900], "not a module"),
+        (bytes(wasmtime.wat2wasm("(module)")), "does not export memory"),
+        (module(printf), "imports env.printf; expected no imports"),
+        (module(wasi), "needs WASI (fd_write); expected a module for wasm32-freestanding"),
+        (module(number=7), "made for contract 7; expected"),
+        (module(pages=1), "reaches beyond the memory"),
+        (b"\0asm" + bytes(100 << 20), "larger than 16 MiB"),
+    ):
+        assert complaint in refused(content, tmp_path)
+
+
+def test_the_compiler_speaks_for_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = tmp_path / "own.c"
+    own.write_text(DRAFT.read_text().replace("seen = OPC4_GEAR_UNKNOWN;", "seen = ;"))
+    words = ["run", "lab_n_b", "--set", f"firmware={own}", "--out", str(tmp_path / "out")]
+    assert main(words) == 2
+    complaint = capsys.readouterr().err
+    assert "own.c:" in complaint and "error: expected expression" in complaint
+    assert complaint.splitlines()[-1].endswith("expected C99 that includes opc4.h")
+    shutil.copy(DRAFT, own)
+    (tmp_path / "opc4.h").write_text(contract.header().replace("fw_contract = ", "fw_contract = 1"))
+    assert main(words) == 2
+    assert "made for contract 1" in capsys.readouterr().err
+
+
+def test_without_the_extras_the_message_says_what_to_install(monkeypatch: Any) -> None:
+    from sil.firmware import compiler, wasm
+
+    monkeypatch.setitem(__import__("sys").modules, "wasmtime", None)
+    wasm.engine.cache_clear()
+    with pytest.raises(InputError, match=r"needs wasmtime.*pip install.*\[wasm\]"):
+        wasm.engine()
+    monkeypatch.setattr(compiler.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setenv("PATH", "")
+    compiler.tool.cache_clear()
+    with pytest.raises(InputError, match=r"clang and wasm-ld.*pip install.*\[c\]"):
+        compiler.tool("cc")
+    compiler.tool.cache_clear()
+
+
+def test_a_restored_control_unit_goes_on_as_before() -> None:
+    node = firmware_node(str(DRAFT), FirmwareConfig())
+    node.advance(0, [])
+    state = node.snapshot()
+    first = [node.advance(10 * MS * tick, [])[0] for tick in (1, 2, 3)]
+    node.restore(state)
+    assert [node.advance(10 * MS * tick, [])[0] for tick in (1, 2, 3)] == first
