@@ -3,7 +3,7 @@
 In lockstep it joins a run begun with `opc4 run --external`; file or name of the scenario, and
 settings, must be those of the run.  With --realtime it runs by the wall clock with any other nodes,
 which may join and leave; Ctrl-C ends it.  The channel is local:NAME (printed by
-`opc4 run`) or a CAN interface.
+`opc4 run`) or a CAN interface; with --realtime also one of python-can, as pcan:PCAN_USBBUS1.
 """
 
 from __future__ import annotations
@@ -97,7 +97,8 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as closing:
         if arguments.realtime:
             signal.signal(signal.SIGTERM, signal.default_int_handler)
-            bus = open_bus(channel, wait_s, notify, tuple(build.received()[name]))
+            received = build.received()[name]
+            bus = open_bus(channel, wait_s, notify, received, loaded.scenario.bus.bitrate)
             closing.callback(bus.shutdown)
         else:
             link = open_link(channel, wait_s, notify)
@@ -107,7 +108,8 @@ def run(arguments: argparse.Namespace) -> int:
         participant = build.make_participant(name, loaded, out)
         if arguments.realtime:
             closing.callback(participant.close)
-            node = FreeNode(participant, bus, catches_up=name == "plant", on_start=started)
+            plant = name == "plant"
+            node = FreeNode(participant, bus, catches_up=plant, receives=received, on_start=started)
             with contextlib.suppress(KeyboardInterrupt):
                 node.run(threading.Event(), duration_s)
             notify(node.report())

@@ -29,8 +29,9 @@ ARGUMENTS = (
     NEW,
     argument(
         "--transport",
-        "one process; processes on a local bus; processes on a CAN interface [inproc]",
-        "inproc|local[:NAME]|CHANNEL",
+        "one process; processes on a local bus; processes on a CAN interface, with --realtime also "
+        "on one of python-can, as pcan:PCAN_USBBUS1 [inproc]",
+        "inproc|local[:NAME]|CHANNEL|INTERFACE:CHANNEL",
         default="inproc",
     ),
     argument(

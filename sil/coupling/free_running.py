@@ -8,10 +8,11 @@ to the bit; the participants are those of a lockstep run and read no clock thems
 from __future__ import annotations
 
 import errno
+import logging
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from heapq import heappop, heappush
 from itertools import count
 from typing import Any
@@ -34,30 +35,44 @@ def open_bus(
     channel: str,
     wait_s: float = 0.0,
     say: Callable[[str], None] = silent,
-    receives: Iterable[int] | None = None,
+    receives: Collection[int] | None = None,
+    bitrate: int | None = None,
 ) -> can.BusABC:
     """Open a bus for a free-running node: `local:NAME`, waiting for it, or a CAN interface.
 
-    `receives`: identifiers (29 bits) that the node receives; None for all.
+    `INTERFACE:CHANNEL`, as `pcan:PCAN_USBBUS1`, is one of python-can's, whose configuration file may
+    hold further settings of it. `receives`: identifiers (29 bits) that the bus filters, where it can; None for all.
+    `bitrate`: in bit/s, set where the interface takes it.
     Raises InputError for a channel that cannot exist, RunError when no local bus opens in time.
     """
-    kind, _, name = channel.partition(":")
+    kind, colon, name = channel.partition(":")
     filters: Any = receives and [
         {"can_id": can_id, "can_mask": MAX_ID, "extended": True} for can_id in receives
     ]
     if kind != "local":
+        logging.getLogger("can").addHandler(logging.NullHandler())  # drivers that are missing
         try:
-            return can.Bus(channel, interface="socketcan", can_filters=filters, ignore_config=True)
-        except (OSError, can.CanError) as error:
-            why = error.strerror if isinstance(error, OSError) else str(error)
+            if not colon:
+                return can.Bus(
+                    channel, interface="socketcan", can_filters=filters, ignore_config=True
+                )
+            return can.Bus(name, interface=kind, bitrate=bitrate)  # a filter of software ends recv
+        except Exception as error:  # a driver that is missing: python-can has no one error for it
+            why = " ".join(str((isinstance(error, OSError) and error.strerror) or error).split())
             raise InputError(
-                f"channel {channel!r}: {why}; expected local:NAME or the name of a CAN interface "
-                "that is up"
+                f"channel {channel!r}: {why}; expected local:NAME, the name of a CAN interface "
+                "that is up, or INTERFACE:CHANNEL of python-can"
             ) from None
     try:
         return LocalBus(name, filters, wait_s=wait_s, say=say)
     except can.CanInitializationError as error:
         raise error.__cause__ or error from None
+
+
+def epoch_s(message: can.Message) -> float:
+    """Return when a message arrived, s since 1970; by our clock, where the interface has another."""
+    now_s = time.time_ns() / NS_PER_S
+    return message.timestamp if abs(now_s - message.timestamp) < 60.0 else now_s
 
 
 def frame_of(message: can.Message) -> Frame | None:
@@ -81,12 +96,14 @@ class FreeNode:
         bus: can.BusABC,
         *,
         catches_up: bool,
+        receives: Collection[int] | None = None,
         on_start: Callable[[int], None] = lambda zero_ns: None,
     ) -> None:
-        """`on_start` receives the instant (ns since 1970) at which the node's clock is zero."""
+        """`receives`: identifiers, None for all; `on_start` receives the instant (ns since 1970) at which the node's clock is zero."""
         self._participant = participant
         self._bus = bus
         self._catches_up = catches_up
+        self._receives = receives
         self._on_start = on_start
         self._pacer = Pacer()
         self._zero_ns = 0
@@ -174,8 +191,10 @@ class FreeNode:
                 if message.is_error_frame:
                     off = bool(message.arbitration_id & 0x40)  # CAN_ERR_BUSOFF of SocketCAN
                     self.counts["bus-off reports" if off else "error frames"] += 1
-                elif (frame := frame_of(message)) is not None:
-                    arrival_ns = round(message.timestamp * NS_PER_S) - self._zero_ns
+                elif (frame := frame_of(message)) is not None and (
+                    self._receives is None or frame.can_id in self._receives
+                ):
+                    arrival_ns = round(epoch_s(message) * NS_PER_S) - self._zero_ns
                     last_ns = self._inbox[-1][0] if self._inbox else 0
                     self._inbox.append((max(last_ns, min(arrival_ns, now_ns)), frame))
         except can.CanOperationError as error:

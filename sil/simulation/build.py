@@ -294,6 +294,11 @@ def open_channels(
 
         timeouts = dataclasses.replace(TIMEOUTS, answer_s=STEP_S + TIMEOUTS.answer_s)
     channel, local_name = channel_of(transport)
+    if local_name is None and ":" in channel:
+        raise InputError(
+            f"--transport {transport}: lockstep is for local buses and SocketCAN; expected local, "
+            "local:NAME or the name of a CAN interface, or --realtime without --speed"
+        )
     opened: type[RemoteChannel]
     if local_name is not None:
         from sil.coupling.transports.hub import Hub as opened

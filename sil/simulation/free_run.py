@@ -22,7 +22,7 @@ from can_dbc.errors import InputError
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S, to_ns
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
-from sil.coupling.free_running import FreeNode, frame_of, open_bus
+from sil.coupling.free_running import FreeNode, epoch_s, frame_of, open_bus
 from sil.coupling.lockstep import RunSummary
 from sil.coupling.processes import ChildProcess
 from sil.coupling.transports.channel import ParticipantLost
@@ -86,7 +86,11 @@ class FreeRun:
         self._channel, name = build.channel_of(transport)
         if name is not None:
             closing.callback(Relay(name).close)
-        self._bus = open_bus(self._channel)
+        if self._channel.startswith("virtual:"):
+            raise InputError(
+                f"--transport {transport}: inside one process; expected a bus that all nodes reach"
+            )
+        self._bus = open_bus(self._channel, bitrate=scenario.bus.bitrate)
         closing.callback(self._bus.shutdown)
         closing.callback(self._end_nodes)
         for participant in REMOTE:
@@ -173,9 +177,9 @@ class FreeRun:
         loaded = dataclasses.replace(self._loaded, scenario=replace(scenario, request=later))
         participant = build.make_participant(name, loaded, self._folder)
         received = build.received().get(name, frozenset({0}))  # a sender only: none would mean all
-        bus = open_bus(self._channel, receives=received)
+        bus = open_bus(self._channel, receives=received, bitrate=scenario.bus.bitrate)
         self._closing.callback(bus.shutdown)
-        node = FreeNode(participant, bus, catches_up=False)
+        node = FreeNode(participant, bus, catches_up=False, receives=received)
         self._nodes.append(self._threads.submit(node.run, self._stop))
 
     def _end_nodes(self) -> None:
@@ -192,7 +196,7 @@ class FreeRun:
         """Return the frames that have arrived, of those within the duration of the run."""
         deliveries = []
         while (message := self._bus.recv(0.0)) is not None:
-            arrival_ns = 1000 * round(message.timestamp * 1e6) - self._zero_ns
+            arrival_ns = 1000 * round(epoch_s(message) * 1e6) - self._zero_ns
             frame = frame_of(message)
             if frame is not None and 0 <= arrival_ns < duration_ns:
                 sender = _SENDERS.get(frame.can_id, GUEST)

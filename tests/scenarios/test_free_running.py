@@ -154,3 +154,13 @@ def test_faults_of_lockstep_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     complaints = capsys.readouterr().err
     assert complaints.count("\n") == 1 and "fault: of a lockstep run only" in complaints
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_free_run_on_an_interface_of_python_can(tmp_path: Path) -> None:
+    channel = f"udp_multicast:239.74.163.{2 + os.getpid() % 200}"
+    with run(tmp_path / "out", dict(os.environ), "lab_n_b", "--transport", channel) as process:
+        _, complaints = process.communicate(timeout=PATIENCE_S)
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["complete"] and all(m["frames"] for m in result["bus"]["messages"]), complaints
+    assert result["metrics"]["shift_time_s"] is not None

@@ -14,7 +14,7 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from sil.coupling import free_running
-from sil.coupling.free_running import FreeNode, open_bus
+from sil.coupling.free_running import FreeNode, epoch_s, open_bus
 from sil.coupling.real_time import Pacer
 from sil.coupling.transports.channel import Received, Turn
 from sil.coupling.transports.local import LocalBus, RunEnded
@@ -199,5 +199,29 @@ def test_a_bus_that_does_not_come_is_reported() -> None:
     with pytest.raises(RunError, match=r"no run on local:nobody within 0\.05 s"):
         open_bus("local:nobody", 0.05, reported.append)
     assert len(reported) == 1
-    with pytest.raises(InputError, match="expected local:NAME or the name of a CAN interface"):
+    with pytest.raises(InputError, match="expected local:NAME, the name of a CAN interface"):
         open_bus("nocan9")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_every_interface_of_python_can_opens_or_is_refused_in_one_line() -> None:
+    opened = []
+    for interface in sorted(can.VALID_INTERFACES - {"opc4local"}):
+        try:
+            open_bus(f"{interface}:0", bitrate=250_000).shutdown()
+            opened.append(interface)
+        except InputError as error:
+            assert f"'{interface}:0'" in str(error) and "\n" not in str(error)
+    assert "virtual" in opened
+
+
+def test_a_node_on_an_interface_that_neither_filters_nor_knows_the_date() -> None:
+    with open_bus("virtual:bench") as ours, open_bus("virtual:bench", receives=[2]) as theirs:
+        unit = Every10ms()
+        node = FreeNode(unit, theirs, catches_up=False, receives=[2])
+        for can_id in (1, 2, 3, 2):
+            ours.send(can.Message(arbitration_id=can_id))
+        node.run(threading.Event(), 0.05)
+        assert [can_id for _, received in unit.steps for can_id in received] == [2, 2]
+        message = can.Message(timestamp=5.0)  # seconds since the adapter was plugged in
+        assert epoch_s(message) > 1e9 and epoch_s(can.Message(timestamp=2e9)) < 2e9
