@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from can_dbc.typed_toml import convert
 from sil.cli.text_table import table_lines
 from sil.files.quantity import counted
 from sil.simulation.fault_marks import fault_lines
-from sil.simulation.load_scenario import from_table
 from sil.simulation.metrics import Shift
 from sil.simulation.runner import Finished
+from sil.simulation.scenario import Scenario
 
 SHIFTS_PRINTED = 12
 
@@ -45,7 +46,7 @@ def summary_lines(finished: Finished, folder: Path, changed_name: str) -> Iterat
         for check in changes.expectations:
             yield "    " + str(check).replace(", expected ", ", as shipped ")
     if finished.record is not None:
-        scenario = from_table(result.scenario, result.scenario_name).scenario
+        scenario = convert(result.scenario, Scenario, result.scenario_name)
         yield from (f"  {line}" for line in fault_lines(finished.record, scenario))
     if result.bus:
         frames = counted(result.bus["frames"], "frame")

@@ -12,6 +12,9 @@ from sil.cli.options import EFFECTS, JSON, SETTINGS, argument, out, say
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from sil.campaign.campaign import Floats
     from sil.campaign.simulate import SimulatedStroke
 
 EXAMPLE = "example: opc4 simulate measured/ --out simulated/ --set friction_length.F_rf_p=60"
@@ -43,6 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.overrides import model_settings
     from sil.files.progress import Progress
+    from sil.report.campaign_figure import campaign_figure
+    from sil.report.picture import save
 
     campaign = load_campaign(arguments.campaign)
     stamps = [load_effects(file) for file in arguments.effects]
@@ -52,13 +57,15 @@ def run(arguments: argparse.Namespace) -> int:
         what = "is the campaign that is simulated; expected another folder"
         raise InputError(f"{arguments.out}: --out: {what}")
     records = read_records(campaign)
-    pairs = zip(campaign.strokes, records, strict=True)
+    pairs = list(zip(campaign.strokes, records, strict=True))
     named = [(entry, record.columns) for entry, record in pairs if record is not None]
     for file, column, what in misspelt_columns(named):
         say(f"opc4 simulate: {campaign.folder / file}: {column}: {what}")
     folder = prepare_folder(arguments.out, f"{campaign.name}-simulated", arguments.force)
     campaign_folder(folder, arguments.force)
     rows: list[dict[str, Any]] = []
+    by_file = {entry.file: record for entry, record in pairs if record is not None}
+    drawn: dict[str, tuple[SimulatedStroke, Mapping[str, Floats]]] = {}
 
     def note(item: SimulatedStroke) -> None:
         rows.append(
@@ -73,14 +80,17 @@ def run(arguments: argparse.Namespace) -> int:
             }
         )
         progress(len(rows), len(campaign.strokes))
+        if len(drawn) < 4:  # the first of each kind
+            record = by_file.get(item.entry.file)
+            drawn.setdefault(item.entry.label, (item, record.columns if record else {}))
         if not arguments.json:
             deviations = "  ".join(shown(name, value) for name, value in item.rms.items())
             print(
                 f"{item.entry.file}  {item.entry.label:<24} "
                 + (
-                    f"{'no arrival':39}"
+                    f"{'no stop':46}"
                     if math.isnan(item.arrival_s)
-                    else f"arrival {1e3 * item.arrival_s:8.3f} ms  "
+                    else f"stop at {1e3 * item.arrival_s:8.3f} ms of the record  "
                     f"impact {item.impact_speed_m_s:7.4f} m/s"
                 )
                 + f"  {deviations}".rstrip()
@@ -88,11 +98,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     with Progress(f"simulating {campaign.name}", "strokes") as progress:
         write_campaign(campaign, simulate_campaign(campaign, parameters, records), folder, note)
+    figure = campaign_figure(drawn.values(), campaign.name)
+    save(figure, folder, "strokes")
     if arguments.json:
         report = {"campaign": campaign.name, "out": str(folder), "effects": stamps, "strokes": rows}
         print(json.dumps(finite(report)))
     else:
-        print(f"{counted(len(rows), 'stroke')} in {folder}", file=sys.stderr)
+        print(f"{counted(len(rows), 'stroke')} in {folder}; picture: strokes.png", file=sys.stderr)
     return 0
 
 

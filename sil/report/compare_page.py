@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,7 @@ def _stack(runs: Sequence[KeptRun], shift: int) -> Stack:
         estimate = run.trace["position_internal_m"][rows] * MM
         lines["position_m"].append(Series("", x, estimate, role, "stepped", True, 1.0))
         marks = [(at_s, name) for at_s, name in run.events if name.endswith(" reported")]
+        marks += [(fault.start_s, f"{fault.name} begins") for fault in run.faults]
         rules += [Rule((at_s - begin) * MS, name, role, "x", "dashed") for at_s, name in marks]
         spans += list(_valve_spans(run, x, rows, order, len(present)))
     ticks = [(lane + 0.5, f"{chamber} open") for lane, chamber in enumerate(CHAMBERS)]
@@ -63,6 +65,8 @@ def _stack(runs: Sequence[KeptRun], shift: int) -> Stack:
         ),
         Panel("Valves", "", spans=spans, ticks=ticks, height=120, limits=(-0.02, 3.0), legend=False),
     ]  # fmt: skip
+    unnamed = [replace(rule, text="") for rule in rules]
+    panels[1:] = [replace(panel, rules=unnamed) for panel in panels[1:]]
     first = present[0][1].shifts
     title = f"{first[shift].from_gear} to {first[shift].to_gear}" if first else "whole run"
     axis = "time after the request, ms" if first else "simulated time, ms"

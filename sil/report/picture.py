@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -41,13 +42,20 @@ View = tuple[float, float]
 
 def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = 110) -> bytes:
     """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
-    import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     drawing = draw(figure)
     drawing.set_dpi(dots_per_inch)  # letters are not as wide at every resolution
     FigureCanvasAgg(drawing)
     layout: Any = drawing.get_layout_engine()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")  # of a name: drawn as a box
+        return _saved(drawing, layout, folder, name, dots_per_inch)
+
+
+def _saved(drawing: Drawing, layout: Any, folder: Path, name: str, dots_per_inch: int) -> bytes:
+    import matplotlib
+
     layout.execute(drawing)
     drawing.set_layout_engine("none")
     for axes in drawing.axes:  # the solver's last digits are not the same in each process
@@ -204,6 +212,7 @@ def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowe
     axes.set_xlim(*view)
     low, high = limits
     axes.set_ylim(low, high if high != low else low + 1.0)
+    axes.yaxis.set_offset_position("right")  # a multiplier; on the left is the legend
     _spans(axes, panel.spans, column.width)
     for band in panel.bands:
         look: dict[str, Any] = {"color": colour_of(band.role), "alpha": 0.15, "lw": 0}

@@ -26,6 +26,7 @@ from sil.report.figure import (
     spans_of,
 )
 from sil.report.vehicle_figure import vehicle_panels, without_torque
+from sil.simulation.fault_marks import FaultSpan, detections
 from sil.simulation.metrics import Shift
 
 SETTLED_S = 0.025
@@ -40,9 +41,16 @@ Interval = tuple[float, float]
 
 
 def run_figure(
-    record: RunRecord, shifts: Sequence[Shift], title: str = "", subtitle: str = ""
+    record: RunRecord,
+    shifts: Sequence[Shift],
+    title: str = "",
+    subtitle: str = "",
+    faults: Sequence[FaultSpan] = (),
 ) -> Figure:
-    """Return the figure of a finished run, with a zoom for each shift."""
+    """Return the figure of a finished run, with a zoom for each shift.
+
+    Faults, and when the controller reported one first, are marked in every panel, named in that of the position.
+    """
     zooms = shift_zooms(record, shifts)
     truth, stroke = record.truth, record.stroke_m * MM
     time = truth["time_s"] * MS
@@ -59,7 +67,8 @@ def run_figure(
     ticks = [(-stroke, "forward"), (0.0, "neutral"), (stroke, "backward")]
     limits = (-1.25 * stroke, 1.25 * stroke)
     overview = Panel("Position", series=whole, height=52, ticks=ticks, limits=limits)
-    stack = Stack("simulated time, ms", panels, zooms=zooms, overview=overview)
+    marked = [_with_faults(panel, record, faults) for panel in panels]
+    stack = Stack("simulated time, ms", marked, zooms=zooms, overview=overview)
     return Figure([stack], title, subtitle)
 
 
@@ -78,6 +87,23 @@ def motion_panels(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shi
     ]
 
 
+def _with_faults(panel: Panel, record: RunRecord, faults: Sequence[FaultSpan]) -> Panel:
+    """Return a panel with a band where each fault acts, and a line where one is reported first."""
+    end_s = float(record.truth["time_s"][-1])
+    is_named = panel.title == "Position"
+    spans = [
+        Span(start_s * MS, (end_s if until_s is None else until_s) * MS, "fault")
+        for _, start_s, until_s in faults
+    ]
+    rules = [
+        Rule(at_s * MS, f"{name} reported" if is_named else "", "alarm", "x", "dashed")
+        for at_s, name in detections(record)
+    ]
+    names = ", ".join(fault.name for fault in faults)
+    keys = [(f"fault: {names}", "fault")] if is_named and faults else panel.keys
+    return replace(panel, spans=[*spans, *panel.spans], rules=[*panel.rules, *rules], keys=keys)
+
+
 def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
     """Return the part of the time axis, in ms, from before each request until it has settled.
 
@@ -90,7 +116,8 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
         first = shift.requested_s
         settled = [shift.arrived_s, shift.confirmed_s, first + 0.1]
         closed = [e.time_s for e in record.events if e.name.endswith("_close")]
-        settled += [time_s for time_s in closed if first <= time_s <= until]
+        reported = [at_s for at_s, _ in detections(record)]
+        settled += [time_s for time_s in (*closed, *reported) if first <= time_s <= until]
         for begin, back in without_torque(record):
             if begin <= first <= back:
                 first = begin

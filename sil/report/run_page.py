@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from can_dbc.typed_toml import convert
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
 from sil.report.picture import save
 from sil.report.plots import Group, plots
 from sil.report.run_figure import run_figure
 from sil.report.shell import Head, Picture, render
+from sil.simulation.fault_marks import fault_spans
 from sil.simulation.results import Result
+from sil.simulation.scenario import Scenario
 
 if TYPE_CHECKING:
     from sil.simulation.runner import Finished
@@ -88,6 +91,7 @@ def write_report(finished: Finished, folder: Path) -> None:
     if end_s < duration_s - result.scenario["trace_period_s"]:
         subtitle = f"the first {end_s:.0f} s of {duration_s:g} s. {subtitle}"
         shifts = [s for s in shifts if (s.confirmed_s or s.requested_s + 1.0) < end_s]
-    figure = run_figure(record, shifts, title, subtitle)
+    faults = fault_spans(convert(result.scenario, Scenario, result.scenario_name))
+    figure = run_figure(record, shifts, title, subtitle, faults)
     picture = save(figure, folder, "shift", dots_per_inch=140)
     write_atomically(folder / "report.html", run_page(result, picture, plots(figure)))

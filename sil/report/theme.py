@@ -8,6 +8,7 @@ _COLOURS = {
     "faint": ("#6b6b6b", "#a0a7ad"),
     "grid": ("#e3e3e3", "#2b3136"),
     "band": ("#f1f3f5", "#1d2226"),
+    "fault": ("#fbeee6", "#33241c"),
     "truth": ("#000000", "#ffffff"),
     "estimate": ("#c2458f", "#f08cc4"),
     "alarm": ("#d55e00", "#ff8a4c"),

@@ -22,7 +22,9 @@ from can_dbc.user_file import read_user_file
 from sil.files.output_folder import RESULT
 from sil.recording.recorder import EVENTS
 from sil.recording.run_record import Floats
+from sil.simulation.fault_marks import FaultSpan, fault_spans
 from sil.simulation.metrics import Shift
+from sil.simulation.scenario import Scenario
 
 MOST_BYTES = 1 << 30
 """The largest file of a run that is read."""
@@ -39,6 +41,7 @@ class _Stored(msgspec.Struct, frozen=True):
     complete: bool
     metrics: dict[str, Any]
     trace_sha256: str | None
+    scenario: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class KeptRun:
     shifts: Sequence[Shift]
     trace: Mapping[str, Floats]
     events: Sequence[tuple[float, str]]
+    faults: Sequence[FaultSpan]
 
     def span(self, shift: int) -> tuple[float, float]:
         """Return from when to when a shift lasts, in s: until the next request, or the end."""
@@ -76,6 +80,7 @@ def read_run(where: Path, name: str) -> KeptRun:
     shifts = convert(stored.metrics, _Metrics, str(path), "metrics").shifts
     trace = _read_trace(folder / "trace.csv")
     events = [*_plant_events(folder / EVENTS), *_controller_events(trace)]
+    faults = fault_spans(convert(stored.scenario, Scenario, str(path), "scenario"))
     return KeptRun(
         name,
         stored.scenario_name,
@@ -84,6 +89,7 @@ def read_run(where: Path, name: str) -> KeptRun:
         shifts,
         trace,
         sorted(events),
+        faults,
     )
 
 

@@ -34,6 +34,8 @@ class Metric(NamedTuple):
 
 def metric_of(name: str) -> Metric:
     """Return how the metric of a column is shown."""
+    if name == "arrival_s":
+        return Metric("stop, after the begin of the stroke", "ms", 1e3)
     for suffix, unit, factor in (
         *(("_m_s", "m/s", 1.0), ("_s", "ms", 1e3), ("_m", "mm", 1e3)),
         *(("_pa", "bar", 1e-5), ("_j", "J", 1.0), ("_kg", "g", 1e3)),

@@ -174,4 +174,5 @@ def next_figure(experiment: NextExperiment) -> Figure:
 
 
 def _title(channel: Channel) -> str:
-    return channel.name.removesuffix("_m").removesuffix("_pa").replace("_", " ")
+    title = channel.name.removesuffix("_m").removesuffix("_pa").replace("_", " ")
+    return f"{title}, absolute" if channel.kind in ("pressure", "oil") else title

@@ -85,3 +85,19 @@ def test_the_same_scale_for_all_stacks_of_a_figure() -> None:
     for same in (True, False):
         axes = draw(Figure([stack(1.0), stack(5.0)], same_scale=same)).axes
         assert (axes[0].get_ylim() == axes[1].get_ylim()) is same
+
+
+def test_letters_outside_the_font_do_not_warn(tmp_path: Path) -> None:
+    series = [Series("変速", np.arange(3.0), np.arange(3.0), "truth")] * 2
+    save(Figure([Stack("t, s", [Panel("p", "m", series)])], "変速"), tmp_path, "f", 40)
+
+
+def test_a_multiplier_does_not_lie_over_the_legend() -> None:
+    x = np.linspace(0.0, 1e-8, 5)
+    panel = Panel("flow", "kg", [Series("a", x, x, "truth"), Series("b", x, x, "after")])
+    drawing = draw(Figure([Stack("t, s", [panel])]))
+    drawing.draw_without_rendering()
+    (axes,) = drawing.axes
+    multiplier, legend = axes.yaxis.get_offset_text(), axes.get_legend()
+    assert multiplier.get_text() and legend is not None
+    assert not multiplier.get_window_extent().overlaps(legend.get_window_extent())

@@ -13,6 +13,9 @@ from sil.recording.run_record import PlantEvent
 from sil.report.picture import draw, save
 from sil.report.run_figure import SILENT, run_figure, state_spans, valve_spans
 from sil.simulation import metrics
+from sil.simulation.fault_marks import fault_lines, fault_spans
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.load_scenario import load
 from tests.support import made_run
 
 
@@ -118,3 +121,27 @@ def test_figure_of_a_run_without_a_shift(tmp_path: Path) -> None:
     assert zoom.low == 0.0 and len(draw(figure).axes) > 3
     image = save(figure, tmp_path, "run", dots_per_inch=40)
     assert image.startswith(b"\x89PNG") and len(image) > 10_000
+
+
+def test_faults_and_their_detection_are_marked_in_every_panel() -> None:
+    run = run_in_memory(load("frozen_counter"))
+    faults = fault_spans(run.scenario)
+    (stack,) = run_figure(run.record, run.shifts, faults=faults).stacks
+    for panel in stack.panels:
+        (span,) = [span for span in panel.spans if span.role == "fault"]
+        assert (span.start, span.end) == (pytest.approx(120.0), pytest.approx(1500.0))
+        assert [rule.at for rule in panel.rules if rule.role == "alarm"] == [
+            pytest.approx(161.4, abs=0.1)
+        ]
+    position = stack.panels[0]
+    assert position.keys == [("fault: frozen counter PositionPulse", "fault")]
+    assert [rule.text for rule in position.rules if rule.role == "alarm"] == [
+        "POSITION_LOST reported"
+    ]
+    assert stack.zooms[0].low < 161.4 < stack.zooms[0].high
+    assert fault_lines(run.record, run.scenario) == [
+        "fault: frozen counter PositionPulse, from 120 ms on",
+        "controller reports POSITION_LOST at 161.4 ms, 41.4 ms after the first fault began",
+    ]
+    quiet = run_in_memory(load("late_valve_commands"))
+    assert fault_lines(quiet.record, quiet.scenario)[-1] == "the controller reported no fault"
