@@ -31,6 +31,7 @@ COMMANDS = {
     "whatif": "run a study: sweep any values of model, firmware, sensor and bus",
     "identify": "identify flow maps, friction, exponents or oil damper from a campaign",
     "firmware": "draft or check a firmware of your own",
+    "swarm": "draw scenarios, check the rules, hand over the shortest that breaks one",
     "fmu": "export plant or firmware as a co-simulation unit for other tools",
     "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
     "live": "open a live bench in the browser, on this machine only",

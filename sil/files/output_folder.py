@@ -31,12 +31,13 @@ RUN_FILES = frozenset(
             "sensitivity.md",
         ),
         *("diagnosis.json", "extended_model.toml", "model.toml", "compare.json"),
+        *("swarm.jsonl", "swarm.json"),
     )
 )
 """The files that commands write; any of them in a folder marks it as holding a run."""
 
 LAST_WRITTEN = frozenset(
-    ("summary.json", "diff.json", "diagnosis.json", "model.toml", "compare.json")
+    ("summary.json", "diff.json", "diagnosis.json", "model.toml", "compare.json", "swarm.json")
 )
 """Of these each exists only when its command has finished; result.json itself says `complete`."""
 

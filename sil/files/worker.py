@@ -1,4 +1,4 @@
-"""Independent pieces of work in forked processes of this machine, answers in order.
+"""Independent pieces of work here, in forked processes or on a cluster, answers in order.
 
 Checked by: tests/unit/sil/inference/test_workers.py, tests/faults/test_crash_safety.py
 """
@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from can_dbc.errors import RunError
+from can_dbc.errors import InputError, RunError
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -22,6 +22,56 @@ _WORK: list[Callable[[Any], Any]] = []
 
 def _call(item: Any) -> Any:
     return _WORK[-1](item)
+
+
+def in_turn(
+    work: Callable[[Item], Answer],
+    items: Sequence[Item],
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    then: str = "",
+) -> Iterator[Answer]:
+    """Yield work(item) of every item, in their order, wherever it is done.
+
+    Raises RunError if a process or the cluster is lost, with what to do `then`.
+    """
+    if cluster is not None:
+        yield from _on_cluster(work, items, cluster, then)
+    elif workers > 1 and items:
+        yield from in_processes(work, items, workers, then)
+    else:
+        yield from map(work, items)
+
+
+def _on_cluster(
+    work: Callable[[Item], Answer], items: Sequence[Item], address: str, then: str
+) -> Iterator[Answer]:
+    """Yield the answers of the workers of a dask.distributed scheduler."""
+    try:
+        from distributed import Client
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+    except ImportError:
+        raise InputError(
+            "--cluster: dask.distributed is not installed; expected the extra 'cluster'"
+        ) from None
+    try:
+        client = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise RunError(f"--cluster {address}: cannot be reached: {error}") from None
+    try:
+        if not client.scheduler_info()["workers"]:
+            raise RunError(f"--cluster {address}: the scheduler has no workers; expected some")
+        for future in client.map(work, items, pure=False, retries=2):
+            yield future.result()
+            future.release()
+    except (KilledWorker, FutureCancelledError, OSError) as error:
+        raise RunError(
+            "; ".join(filter(None, [f"--cluster {address}: lost: {error}", then]))
+        ) from None
+    finally:
+        client.close()
 
 
 def in_processes(

@@ -22,7 +22,8 @@ Floats = NDArray[np.float64]
 M = TypeVar("M")
 
 CHAMBERS = ("B", "N", "F")
-
+OPEN_ABOVE = 0.34
+"""A commanded duty above this is meant to open (closed at or below 0.33, open at or above 0.35)."""
 
 STORED = struct.Struct("<QQIBB8s")
 """A frame on disk: released and arrival [ns], identifier, length, number of its sender, data."""

@@ -21,16 +21,12 @@ from can_dbc.messages import (
 from sil.coupling.clock import NS_PER_S
 from sil.firmware import cost
 from sil.recording.interpolation import hermite, monotone_slopes
-from sil.recording.run_record import CHAMBERS, Floats, M, PlantEvent, RunRecord
+from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, Floats, M, PlantEvent, RunRecord
 from sil.recording.runs import true_runs
 from sil.simulation.impacts import HOLD_S, PICK_UP, counted, worst_speed_m_s
 
 ARRIVED_WITHIN_M = 5e-5
 """The stay counts as arrived this close to its stop: one step of the external potentiometer."""
-
-OPEN_ABOVE = 0.34
-"""A commanded duty above this is meant to open (closed at or below 0.33, open at or above 0.35)."""
-
 
 LAGS = (
     "position_lag_10_s",

@@ -1,16 +1,6 @@
 """Safety figures of a run with faults: detection, end state, and how long it was unsafe.
 
-Safe states that the firmware and the plant's valve driver must hold, whatever up to two faults do:
-no coil stays energised by a dead controller (longer than the driver's timeout), and no gear is
-reported that the stay is not in (longer than a motion takes to be observed).
-
-Two limits. A single position sensor whose error looks like a motion (it or its thermometer stuck,
-or wrong by a constant) cannot be distinguished from one. End-to-end protection carries no time and no secret:
-frames repeated a whole round of the counter later (15 to 16 periods), or repeated of a sender that
-is silent, pass as new. A report is then as old as the repetition; a coil is not held on by one
-repeated message, because the driver needs both commands and blows to be good. ETC2 carries the gear
-without protection, as in J1939, so reports are judged by the status frames.
-
+The rules that they measure, and their limits: `sil.rules.shipped`.
 Checked by: tests/unit/sil/simulation/test_safety.py, tests/faults/
 """
 
@@ -18,24 +8,20 @@ from __future__ import annotations
 
 import math
 from functools import reduce
-from itertools import zip_longest
 from operator import or_
 
 import numpy as np
 
-from can_dbc.codec import can_id_of
-from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
-from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveCommand
-from sil.coupling.bus import BusFrame
+from can_dbc.messages import Fault, Gear
 from sil.coupling.clock import NS_PER_S
-from sil.coupling.faults import BusOff, Dead, Delay, Stalled
-from sil.recording.run_record import CHAMBERS, RunRecord
+from sil.coupling.faults import BusOff, Dead, Delay, Replayed, Stalled
+from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import longest_run
-from sil.simulation.metrics import OPEN_ABOVE, gear_at, gear_position_m
+from sil.rules.reports import REPORT_HOLDS_S, Reports, accepted_status, falsely_reported
+from sil.rules.rule import Circumstances
+from sil.rules.shipped import orphaned
+from sil.simulation.metrics import gear_at
 from sil.simulation.scenario import FAULT_TABLES, Scenario
-
-REPORT_HOLDS_S = 0.05
-"""A status frame is valid for this long."""
 
 COLUMNS = (
     "detected_after_s",
@@ -111,26 +97,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
 
 def _energised(record: RunRecord) -> np.ndarray:
     """Return at which rows of the trace a coil was meant to be energised."""
-    energised: np.ndarray = np.any(
-        [record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0
-    )
-    return energised
-
-
-Reports = list[tuple[BusFrame, ControllerStatus | None]]
-
-
-def accepted_status(record: RunRecord) -> Reports:
-    """Return the status frames that pass end-to-end protection; None where it turns invalid."""
-    receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
-    reports: Reports = []
-    for entry in record.frames_of(can_id_of(ControllerStatus)):
-        status = receiver.receive(entry.arrival_ns, entry.frame)
-        if receiver.state(entry.arrival_ns) is not E2eState.VALID:
-            reports.append((entry, None))
-        elif status in ACCEPTED:
-            reports.append((entry, receiver.message))
-    return reports
+    return np.asarray(np.any([record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0))
 
 
 def _reported_at(status: Reports, at_s: float) -> float:
@@ -152,47 +119,33 @@ def controller_down_s(scenario: Scenario) -> list[tuple[float, float]]:
 
 
 def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
-    """Return for how long in s the valve driver energised a coil without a living controller.
-
-    Counted from its timeout, plus the longest time that a frame can still take to arrive; and
-    while no command of the controller has arrived for longer than that timeout.
-    """
-    time_s = record.truth["time_s"]
-    under_way = 0.005 + _stated_delays_s(scenario)
-    commanded_s = [-math.inf] + [
-        entry.arrival_ns / NS_PER_S
-        for entry in record.frames_of(can_id_of(ValveCommand))
-        if entry.sender == "controller"
-    ]
-    last_s = np.array(commanded_s)[np.searchsorted(commanded_s, time_s, side="right") - 1]
-    orphaned = _energised(record) & (time_s - last_s > scenario.valve_driver.timeout_s + 0.001)
-    for start_s, end_s in controller_down_s(scenario):
-        begin_s = start_s + scenario.valve_driver.timeout_s + under_way
-        orphaned |= _energised(record) & (time_s > begin_s) & (time_s < end_s)
-    return float(np.count_nonzero(orphaned)) * float(np.median(np.diff(time_s)))
+    """Return for how long in s the valve driver energised a coil without a living controller."""
+    rows = np.count_nonzero(orphaned(record, circumstances(scenario)))
+    return float(rows) * float(np.median(np.diff(record.truth["time_s"])))
 
 
 def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
-    """Return the longest time in s for which a gear was reported that the stay was not in.
+    """Return the longest time in s for which a gear was reported that the stay was not in."""
+    wrong = falsely_reported(record, scenario.controller.windows)
+    return longest_run(wrong) * float(np.median(np.diff(record.truth["time_s"])))
 
-    A report counts from its arrival to the next one's, at most REPORT_HOLDS_S. The limit is twice
-    the window's width, because the sensor's tick, noise and temperature shift the firmware's window.
-    """
-    status = accepted_status(record)
-    time_s, position = record.truth["time_s"], record.truth["position_m"]
-    windows = scenario.controller.windows
-    wrong = np.zeros(len(time_s), dtype=bool)
-    for (entry, message), follower in zip_longest(status, status[1:]):
-        if message is None or message.confirmed == Gear.UNKNOWN:
-            continue
-        begin = entry.arrival_ns / NS_PER_S
-        end = math.inf if follower is None else follower[0].arrival_ns / NS_PER_S
-        low, high = np.searchsorted(time_s, [begin, min(end, begin + REPORT_HOLDS_S)])
-        neutral = message.confirmed == Gear.NEUTRAL
-        width = windows.neutral_tolerance_m if neutral else windows.gear_tolerance_m
-        goal = gear_position_m(message.confirmed, record.stroke_m)
-        wrong[low:high] = np.abs(position[low:high] - goal) > 2.0 * width
-    return longest_run(wrong) * float(np.median(np.diff(time_s)))
+
+def circumstances(scenario: Scenario) -> Circumstances:
+    """Return what the rules may know of a run of this scenario."""
+    faults = scenario.fault
+    kinds = [fault.kind for fault in scenario.sensor_fault]
+    kinds += [fault.kind for fault in scenario.temperature_fault]
+    lies = "wrong" in kinds or "stuck" in kinds
+    return Circumstances(
+        control=scenario.controller,
+        driver_timeout_s=scenario.valve_driver.timeout_s,
+        late_s=_stated_delays_s(scenario),
+        sight_s=math.inf if lies else sight_s(scenario),
+        repeated_s=max((f.delay_s for f in faults if isinstance(f, Replayed)), default=0.0),
+        down_s=tuple(controller_down_s(scenario)),
+        disturbed=bool(faults) or scenario.bus.extra_load > 0.0,
+        slow_clock=1.0 / (1.0 + 1e-6 * scenario.clock.controller_ppm),
+    )
 
 
 def sight_s(scenario: Scenario) -> float:

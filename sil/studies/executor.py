@@ -18,9 +18,9 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from can_dbc.errors import InputError, RunError
+from can_dbc.errors import InputError
 from sil.files.atomic import write_atomically
-from sil.files.worker import in_processes
+from sil.files.worker import in_turn
 from sil.studies.study import Row, Study
 from sil.studies.table import RESULTS
 
@@ -117,42 +117,8 @@ def _results(
 ) -> Iterator[list[str]]:
     """Yield the lines of each chunk, in order."""
     yield from (run_chunk(study, piece) for piece in wanted[:1])
-    rest = wanted[1:]
-    if cluster is not None and wanted:
-        yield from _on_cluster(study, rest, cluster)
-    elif workers > 1 and rest:
-        yield from in_processes(partial(run_chunk, study), rest, workers, RESUME)
-    else:
-        yield from (run_chunk(study, piece) for piece in rest)
-
-
-def _on_cluster(
-    study: Study, pieces: Sequence[tuple[int, int]], address: str
-) -> Iterator[list[str]]:
-    """Yield the lines of each chunk from the workers of a dask.distributed scheduler, in order."""
-    try:
-        from distributed import Client
-        from distributed.client import FutureCancelledError
-        from distributed.scheduler import KilledWorker
-    except ImportError:
-        raise InputError(
-            "--cluster: dask.distributed is not installed; expected the extra 'cluster'"
-        ) from None
-    try:
-        client = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise RunError(f"--cluster {address}: cannot be reached: {error}") from None
-    try:
-        if not client.scheduler_info()["workers"]:
-            raise RunError(f"--cluster {address}: the scheduler has no workers; expected some")
-        work = partial(_run_sent_chunk, study)
-        for future in client.map(work, pieces, pure=False, retries=2):
-            yield future.result()
-            future.release()
-    except (KilledWorker, FutureCancelledError, OSError) as error:
-        raise RunError(f"--cluster {address}: lost: {error}; {RESUME}") from None
-    finally:
-        client.close()
+    work = partial(run_chunk if cluster is None else _run_sent_chunk, study)
+    yield from in_turn(work, wanted[1:], workers=workers, cluster=cluster, then=RESUME)
 
 
 def _run_sent_chunk(study: Study, numbers: tuple[int, int]) -> list[str]:

@@ -2,114 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import random
-import typing
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
-import msgspec
-
-from can_dbc.e2e import PROTECTED
-from can_dbc.frame import DP_BIT, EDP_BIT
-from plant.devices.position_circuit import SensorFault
-from plant.devices.signal_faults import SpeedFault, TemperatureFault
-from plant.devices.valve_faults import ValveFault
-from sil.coupling.faults import BusFault, FrozenCounter
 from sil.simulation.load_scenario import Loaded, from_table
+from sil.swarm.vocabulary import Fault, state, vocabulary
 
 SHIFTS = {"N-B": ("neutral", "backward"), "B-N": ("backward", "neutral"),
           "N-F": ("neutral", "forward"), "F-N": ("forward", "neutral"),
           "B-F": ("backward", "forward")}  # fmt: skip
-
-Draw = Callable[[random.Random], Any]
-
-
-class Fault(NamedTuple):
-    """One fault of the vocabulary: the scenario's list it belongs to, its kind, and whom it hits."""
-
-    where: str
-    kind: str
-    whom: str = ""
-
-
-def _kinds(fault: type) -> tuple[str, ...]:
-    return typing.get_args(typing.get_type_hints(fault)["kind"])
-
-
-@functools.cache
-def vocabulary() -> dict[str, list[Fault]]:
-    """Every fault that a scenario may state, as the scenario's own types tell it, in groups."""
-    frames, nodes, intruders = [], [], []
-    guarded = {kind.__name__ for kind in PROTECTED}
-    for fault in typing.get_args(BusFault):
-        kind, hints = str(fault.__struct_config__.tag), typing.get_type_hints(fault)
-        if "node" in hints:
-            nodes += [Fault("fault", kind, whom) for whom in typing.get_args(hints["node"])]
-            continue
-        messages = typing.get_args(hints["message"]) if "message" in hints else ("",)
-        stated = [Fault("fault", kind, m) for m in messages]
-        if fault is FrozenCounter:  # frames without a counter are refused
-            stated = [f for f in stated if f.whom in guarded]
-        (frames if "probability" in hints else intruders).extend(stated)
-    valves = typing.get_args(typing.get_type_hints(ValveFault)["valve"])
-    return {
-        "frames": frames,
-        "nodes": nodes,
-        "intruders": intruders,
-        "position": [Fault("sensor_fault", kind) for kind in _kinds(SensorFault)],
-        "temperature": [Fault("temperature_fault", kind) for kind in _kinds(TemperatureFault)],
-        "speeds": [Fault("speed_fault", kind) for kind in _kinds(SpeedFault)],
-        "valves": [Fault("valve_fault", kind, v) for kind in _kinds(ValveFault) for v in valves],
-        "bus and clocks": [Fault("bus", "load"), Fault("clock", "controller"),
-                           Fault("clock", "driver")],
-    }  # fmt: skip
-
-
-def _between(low: float, high: float) -> Draw:
-    return lambda rng: round(rng.uniform(low, high), 6)
-
-
-def _whole(low: int, high: int) -> Draw:
-    return lambda rng: rng.randint(low, high)
-
-
-PARAMETERS: dict[str, Draw] = {
-    "probability": _between(0.05, 1.0),
-    "every": _whole(2, 8),
-    "count": _whole(1, 100),
-    "attempts": _whole(1, 32),
-    "bits": _whole(1, 64),
-    "delay_s": _between(0.001, 0.4),
-    "jitter_s": _between(0.0, 0.05),
-    "load": _between(0.1, 2.0),
-    "priority": _whole(0, 7),
-    "can_id": lambda rng: rng.randint(0, 0x1FFF_FFFF) & ~(DP_BIT | EDP_BIT),
-    "data": lambda rng: rng.randbytes(rng.randint(0, 8)).hex(),
-    "period_s": _between(0.0005, 0.02),
-    "pulse_s": _between(0.0, 0.0015),
-    "garbage_s": _between(1e-4, 0.004),
-    "offset_s": _between(-4e-4, 4e-4),
-    "late": _whole(1, 30),
-    "value_k": _between(230.0, 430.0),
-    "offset_k": _between(-80.0, 80.0),
-    "offset_rad_s": _between(-100.0, 100.0),
-    "garbage_rad_s": _between(1.0, 400.0),
-    "factor": _between(1.0, 20.0),
-}
-"""How the parameters of faults are drawn; a parameter that is not in here cannot be left out."""
-
-NEEDED = ("delay_s", "period_s", "can_id")
-PLACE = ("kind", "message", "node", "valve", "start_s", "end_s")
-STRUCTS = {"sensor_fault": SensorFault, "temperature_fault": TemperatureFault,
-           "speed_fault": SpeedFault, "valve_fault": ValveFault}  # fmt: skip
-
-
-def struct_of(fault: Fault) -> type:
-    """The type of the scenario's table that states a fault."""
-    if fault.where in STRUCTS:
-        return STRUCTS[fault.where]
-    return next(t for t in typing.get_args(BusFault) if t.__struct_config__.tag == fault.kind)
 
 
 def base(shift: str) -> dict[str, Any]:
@@ -124,50 +25,6 @@ def base(shift: str) -> dict[str, Any]:
         "plant": {"mounted": True, "mesh_force_n": 600.0, "pull_force_n": 500.0},
         "driveline": {"impulse_backward_n_s": 18.0, "impulse_forward_n_s": 18.0},
     }
-
-
-def window(rng: random.Random) -> dict[str, float]:
-    """When a fault acts: from the start, or from some moment around the shift; for good or not."""
-    start = rng.choice([0.0, rng.uniform(0.05, 0.5)])
-    if rng.random() < 0.5:
-        return {"start_s": round(start, 4)}
-    return {"start_s": round(start, 4), "end_s": round(start + rng.uniform(0.01, 0.5), 4)}
-
-
-def _repeated_after(message: str, rng: random.Random) -> float:
-    """A delay [s] of repeated frames; half of them such that the counter has come round."""
-    if rng.random() < 0.5:
-        return round(rng.uniform(0.001, 0.4), 6)
-    period_s = 0.02 if message == "ShiftRequest" else 0.01
-    return round(period_s * rng.uniform(15.0, 16.0), 6)
-
-
-def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
-    """Enter a fault into a scenario, with a window and parameters drawn at random."""
-    if fault.where == "clock":
-        table.setdefault("clock", {})[f"{fault.kind}_ppm"] = round(rng.uniform(-5e4, 5e4))
-        return
-    if fault.where == "bus":
-        load = {"extra_load": round(rng.uniform(0.2, 1.5), 3), "extra_priority": rng.randint(0, 7)}
-        table.setdefault("bus", {}).update(load, send_buffer=32)
-        return
-    stated: dict[str, Any] = {"kind": fault.kind, **window(rng)}
-    names = [f.name for f in msgspec.structs.fields(struct_of(fault))]
-    for place in ("message", "node", "valve"):
-        if place in names:
-            stated[place] = fault.whom
-    for name in names:
-        if name not in PLACE and (name in NEEDED or rng.random() < 0.5):
-            stated[name] = PARAMETERS[name](rng)
-    if fault.kind == "replayed":
-        stated["delay_s"] = _repeated_after(fault.whom, rng)
-    if fault.kind in ("dead", "sent"):
-        stated.pop("end_s", None)
-    elif fault.kind == "stalled":
-        stated.setdefault("end_s", round(stated["start_s"] + 0.2, 4))
-    elif fault.kind == "babbling":
-        table.setdefault("bus", {})["send_buffer"] = 32
-    table.setdefault(fault.where, []).append(stated)
 
 
 def faults_of(number: int) -> list[Fault]:

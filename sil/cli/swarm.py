@@ -1,0 +1,135 @@
+"""Draw scenarios, hold every run to the rules, and hand over the shortest scenario that breaks one.
+
+TARGET is a scenario (file or shipped name) around which to draw, or a firmware of one's own. Exit
+code 1 if a rule was broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sil.cli.options import JSON, argument, out
+from sil.files.quantity import counted
+
+if TYPE_CHECKING:
+    from sil.swarm.hunt import Generation, Hunt
+
+EXAMPLE = "example: opc4 swarm own.py --runs 2048 --workers 2 --out night/"
+ARGUMENTS = (
+    argument("target", "scenario, or firmware of one's own", "TARGET"),
+    argument("--runs", "number of runs, in whole generations of 256", "N", type=int),
+    argument("--hours", "time to spend; the generation under way is finished", "H", type=float),
+    argument("--seed", "seed of everything drawn [1]", "N", type=int, default=1),
+    argument("--workers", "processes [1]", "N", type=int, default=1),
+    argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
+    argument("--rules", "rules of one's own as well: RULES in a Python file", "FILE.py"),
+    argument("--resume", "continue the swarm in DIR"),
+    *(*out("runs/swarm-N"), JSON),
+)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Hunt until the time or the number of runs is over; return the exit code.
+
+    Raises InputError for wrong arguments, RunError if a worker or the cluster is lost.
+    """
+    from sil.files.output_folder import close_folders
+    from sil.files.progress import Progress
+    from sil.files.worker import in_turn
+    from sil.rules.user_file import load_rules
+    from sil.swarm.hunt import Hunt
+    from sil.swarm.pages import write_failures, write_page
+
+    base = _base(arguments)
+    rules = load_rules(arguments.rules)
+    hunt = Hunt(base, arguments.seed, rules)
+    folder = _folder(hunt, arguments)
+    runner = partial(in_turn, workers=arguments.workers, cluster=arguments.cluster)
+    until_s = None if arguments.hours is None else time.monotonic() + 3600.0 * arguments.hours
+    with Progress("runs") as progress:
+        for generation in hunt.run(runner, arguments.runs, until_s):
+            _store(folder, generation)
+            progress(sum(each.runs for each in hunt.generations), arguments.runs or 0)
+    files = write_failures(hunt, folder)
+    result = write_page(hunt, files, folder)
+    if arguments.json:
+        print(json.dumps({"out": str(folder), **result}))
+    else:
+        _print(hunt, files, result)
+        print(f"{folder}: swarm.json report.html")
+    close_folders(None)
+    return 1 if files else 0
+
+
+def _base(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the table that every scenario is drawn around. Raises InputError."""
+    from can_dbc.errors import InputError
+    from sil.simulation import load_scenario
+
+    if arguments.runs is None and arguments.hours is None:
+        raise InputError("neither --runs nor --hours; expected one of them")
+    for name, value in (("--runs", arguments.runs), ("--hours", arguments.hours)):
+        if value is not None and value <= 0:
+            raise InputError(f"{name} {value}: expected more than 0")
+    if arguments.workers < 1:
+        raise InputError(f"--workers {arguments.workers}: expected 1 or more")
+    if Path(arguments.target).suffix in (".py", ".c", ".wasm") or Path(arguments.target).is_dir():
+        table = {"name": "swarm", "duration_s": 1.0, "request": [], "firmware": arguments.target}
+    else:
+        table, path = load_scenario.read(arguments.target)
+        load_scenario.load(arguments.target)
+        if table.get("firmware"):
+            table["firmware"] = str((path.parent / table["firmware"]).resolve())
+        table.pop("expect", None)
+        table["name"] = "swarm"
+    if "firmware" in table:
+        table["firmware"] = os.path.abspath(table["firmware"])
+        load_scenario.from_table(table, arguments.target)
+    return table
+
+
+def _folder(hunt: Hunt, arguments: argparse.Namespace) -> Path:
+    """Return the folder to write; with --resume, the generations in it are taken over."""
+    from can_dbc.errors import InputError
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import prepare_folder, reopen_folder
+    from sil.swarm.hunt import SWARM_FILE, stored_generations
+
+    if arguments.resume:
+        if arguments.out is None:
+            raise InputError("--resume: no folder; expected --out DIR of a swarm")
+        for generation in stored_generations(arguments.out, hunt.digest):
+            hunt.add(generation)
+        return reopen_folder(arguments.out)
+    folder = prepare_folder(arguments.out, "swarm", arguments.force)
+    write_atomically(folder / SWARM_FILE, json.dumps({"sha256": hunt.digest}) + "\n")
+    return folder
+
+
+def _store(folder: Path, generation: Generation) -> None:
+    import msgspec
+
+    from sil.swarm.hunt import SWARM_FILE
+
+    with open(folder / SWARM_FILE, "ab") as file:
+        file.write(msgspec.json.encode(generation) + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _print(hunt: Hunt, files: dict[str, Any], result: dict[str, Any]) -> None:
+    runs, never = result["runs"], result["never_taken"]
+    rate = runs / max(result["wall_s"], 1e-9)
+    print(f"{counted(runs, 'run')}, {rate:.1f} a second, {counted(len(files), 'failure')}")
+    for name, failure in files.items():
+        print(f"  {name}: {failure.rule}: {failure.text} at {failure.time_s:.3f} s")
+    taken = len(result["transitions"])
+    print(f"transitions of the shift sequence taken: {taken} of {taken + len(never)}")
+    if never:
+        print(f"  never: {', '.join(never)}")

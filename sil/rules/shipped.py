@@ -1,0 +1,269 @@
+"""The rules that every run is held to.
+
+Two limits. A single position sensor whose error looks like a motion (it or its thermometer stuck,
+or wrong by a constant) cannot be distinguished from one. End-to-end protection carries no time and no secret:
+frames repeated a whole round of the counter later (15 to 16 periods), or repeated of a sender that
+is silent, pass as new. A report is then as old as the repetition; a coil is not held on by one
+repeated message, because the driver needs both commands and blows to be good. ETC2 carries the gear
+without protection, as in J1939, so reports are judged by the status frames.
+
+Checked by: tests/unit/sil/rules/test_rules.py, tests/faults/
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc.codec import can_id_of, decode
+from can_dbc.e2e import ACCEPTED, E2eStatus, Receiver
+from can_dbc.errors import CodecError
+from can_dbc.messages import (
+    Chamber,
+    ControllerStatus,
+    Fault,
+    Gear,
+    SafetyBlow,
+    ShiftRequest,
+    ShiftState,
+    ValveCommand,
+)
+from sil.coupling.clock import NS_PER_S
+from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
+from sil.recording.runs import true_runs
+from sil.rules.reports import falsely_reported
+from sil.rules.rule import Circumstances, Rule
+
+SENDER = "controller"
+
+Broken = tuple[float, str] | None
+
+
+def orphaned(record: RunRecord, circumstances: Circumstances) -> NDArray[np.bool_]:
+    """Return at which rows [n] of the trace a coil is energised without a living controller.
+
+    Counted from the valve driver's timeout, plus the longest time that a frame can still take to
+    arrive; and while no command of the controller has arrived for longer than that timeout.
+    """
+    time_s = record.truth["time_s"]
+    on = np.any([record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0)
+    commanded_s = [-math.inf] + [
+        entry.arrival_ns / NS_PER_S
+        for entry in record.frames_of(can_id_of(ValveCommand))
+        if entry.sender == SENDER
+    ]
+    timeout_s = circumstances.driver_timeout_s
+    last_s = np.array(commanded_s)[np.searchsorted(commanded_s, time_s, side="right") - 1]
+    alone = time_s - last_s > timeout_s + 0.001
+    for start_s, end_s in circumstances.down_s:
+        begin_s = start_s + timeout_s + 0.005 + circumstances.late_s
+        alone |= (time_s > begin_s) & (time_s < end_s)
+    return np.asarray(on & alone)
+
+
+def _orphan_coil(record: RunRecord, circumstances: Circumstances) -> Broken:
+    rows = np.flatnonzero(orphaned(record, circumstances))
+    if not len(rows):
+        return None
+    return float(record.truth["time_s"][rows[0]]), "a coil is energised without a living controller"
+
+
+def _false_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
+    time_s = record.truth["time_s"]
+    longest_s = circumstances.sight_s + circumstances.repeated_s
+    for begin, end in true_runs(falsely_reported(record, circumstances.control.windows)):
+        lasted_s = float(time_s[end - 1] - time_s[begin])
+        if lasted_s > longest_s:
+            what = f"a gear that the stay is not in is reported for {1e3 * lasted_s:.0f} ms; a motion shows within {1e3 * longest_s:.0f} ms"
+            return float(time_s[begin]), what
+    return None
+
+
+def _energised(record: RunRecord, closed: float) -> dict[Chamber, list[float]]:
+    """Return when, s, the controller sent a command or a blow that energises each chamber's coil."""
+    sent: dict[Chamber, list[float]] = {Chamber.B: [], Chamber.N: [], Chamber.F: []}
+    for entry, command in record.each(ValveCommand):
+        if entry.sender == SENDER:
+            duties = (command.duty_b, command.duty_n, command.duty_f)
+            for chamber, duty in zip(sent, duties, strict=True):
+                if duty > closed:
+                    sent[chamber].append(entry.released_ns / NS_PER_S)
+    for entry, blow in record.each(SafetyBlow):
+        if entry.sender == SENDER and blow.active and blow.chamber is not Chamber.NONE:
+            sent[blow.chamber].append(entry.released_ns / NS_PER_S)
+    return {chamber: sorted(set(times)) for chamber, times in sent.items()}
+
+
+def _opposed_chambers(record: RunRecord, circumstances: Circumstances) -> Broken:
+    control = circumstances.control
+    sent = _energised(record, control.duty_closed)
+    least_s = (control.shift.interlock_s - 1e-6) * circumstances.slow_clock
+    for chamber, opposite in ((Chamber.B, Chamber.F), (Chamber.F, Chamber.B)):
+        for at_s in sent[chamber]:
+            before = bisect_right(sent[opposite], at_s)
+            if before and at_s - sent[opposite][before - 1] < least_s:
+                gap_ms = 1e3 * (at_s - sent[opposite][before - 1])
+                return at_s, f"{chamber.name} is filled {gap_ms:.0f} ms after {opposite.name}"
+    return None
+
+
+def _coil_on_time(record: RunRecord, circumstances: Circumstances) -> Broken:
+    control = circumstances.control
+    most_s = control.shift.push_timeout_s + 2.0 * control.blow.duration_s + 0.1
+    most_s *= circumstances.slow_clock
+    for chamber, times in _energised(record, control.duty_closed).items():
+        begin_s = last_s = -math.inf
+        for at_s in times:
+            if at_s - last_s > 3.0 * control.period_s:
+                begin_s = at_s
+            last_s = at_s
+            if at_s - begin_s > most_s:
+                return at_s, f"the coil of {chamber.name} is on for more than {most_s:.2f} s"
+    return None
+
+
+def _request_changes(record: RunRecord) -> Iterator[tuple[float, ShiftRequest, float]]:
+    """Yield arrival in s of each changed request, the request, and until when it is the present one."""
+    changes: list[tuple[float, ShiftRequest]] = []
+    for entry, message in record.each(ShiftRequest):
+        if not changes or changes[-1][1] != message:
+            changes.append((entry.arrival_ns / NS_PER_S, message))
+    for k, (at_s, message) in enumerate(changes):
+        yield at_s, message, changes[k + 1][0] if k + 1 < len(changes) else math.inf
+
+
+def _answer_s(circumstances: Circumstances, before: ControllerStatus | None, target: Gear) -> float:
+    """Return the longest time in s in which a request is answered by a gear or by a refusal.
+
+    Its leg with all attempts; a leg to neutral before it, and whatever is under way, with its blow; the
+    start of the firmware until it has found its gear. before: the status when the request came.
+    """
+    control = circumstances.control
+    shift = control.shift
+    leg_s = (shift.retries + 1) * shift.push_timeout_s + shift.retries * shift.retry_pause_s
+    at_rest = before is not None and before.state is ShiftState.IDLE
+    straight = before is not None and Gear.NEUTRAL in (target, before.confirmed)
+    total_s = leg_s + shift.interlock_s + 6.0 * control.period_s
+    total_s += shift.sync_wait_s if shift.wait_for_sync else 0.0
+    if not (at_rest and straight):
+        total_s += leg_s + 2.0 * control.blow.duration_s + shift.retry_pause_s
+    if not at_rest:
+        total_s += shift.init_timeout_s + shift.init_settle_s + control.e2e.startup_s
+    return total_s * circumstances.slow_clock
+
+
+def _unanswered_request(record: RunRecord, circumstances: Circumstances) -> Broken:
+    if circumstances.disturbed or circumstances.down_s:
+        return None  # what neither side received is nobody's to answer
+    time_s = record.truth["time_s"]
+    end_s = float(time_s[-1]) if len(time_s) else 0.0
+    status = [(e.arrival_ns / NS_PER_S, m) for e, m in record.of(ControllerStatus)]
+    times = [t for t, _ in status]
+    for at_s, request, until_s in _request_changes(record):
+        first = bisect_right(times, at_s)
+        before = status[first - 1][1] if first else None
+        latest_s = at_s + _answer_s(circumstances, before, request.target)
+        if latest_s > min(until_s, end_s):
+            continue
+        answers = (m for _, m in status[first : bisect_right(times, latest_s)])
+        if not any(_is_answer(m, request.target) for m in answers):
+            what = f"{request.target.name.lower()}, requested at {at_s:.2f} s, is neither confirmed nor refused"
+            return latest_s, what
+    return None
+
+
+def _is_answer(status: ControllerStatus, target: Gear) -> bool:
+    refused = status.faults is not Fault.NONE or status.state is ShiftState.FAULT
+    return refused or status.confirmed == target
+
+
+def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
+    for entry, status in record.each(ControllerStatus):
+        if (
+            entry.sender == SENDER
+            and Fault.INTERNAL in status.faults
+            and not circumstances.disturbed
+        ):
+            return entry.released_ns / NS_PER_S, "the firmware caught an error of its own"
+    return None
+
+
+def _sender_rules(record: RunRecord, circumstances: Circumstances) -> Broken:
+    if circumstances.disturbed or circumstances.down_s:
+        return None  # the record holds what the bus made of the frames
+    for kind in (ValveCommand, SafetyBlow, ControllerStatus):
+        receiver = Receiver(kind)
+        for entry in record.frames_of(can_id_of(kind)):
+            status = receiver.receive(entry.arrival_ns, entry.frame)
+            if status not in (*ACCEPTED, E2eStatus.INITIAL) or status is E2eStatus.OK_SOME_LOST:
+                what = f"{kind.__name__}: counter or checksum: {status.value} {receiver.reason}"
+                return entry.released_ns / NS_PER_S, what.strip()
+    return None
+
+
+def _outputs_in_range(record: RunRecord, circumstances: Circumstances) -> Broken:
+    if circumstances.disturbed:
+        return None
+    for kind in (ValveCommand, SafetyBlow, ControllerStatus):
+        for entry in record.frames_of(can_id_of(kind)):
+            try:
+                decode(entry.frame)
+            except CodecError as error:
+                return entry.released_ns / NS_PER_S, str(error)
+    return None
+
+
+RULES = (
+    Rule(
+        "orphan_coil",
+        "No coil is energised without a living controller, longer than the valve driver's timeout.",
+        "valve driver of the plant; ISO 26262-6, safe state",
+        _orphan_coil,
+    ),
+    Rule(
+        "false_gear",
+        "No gear is reported that the stay is not in, longer than a motion takes to be observed.",
+        "thesis 2.2.4: confirmation by position",
+        _false_gear,
+    ),
+    Rule(
+        "opposed_chambers",
+        "Backward and forward are not filled together, nor sooner after each other than the interlock.",
+        "controller.shift.interlock_s",
+        _opposed_chambers,
+    ),
+    Rule(
+        "coil_on_time",
+        "No coil is energised longer than a push may last with its blow.",
+        "controller.shift.push_timeout_s, controller.blow.duration_s",
+        _coil_on_time,
+    ),
+    Rule(
+        "unanswered_request",
+        "Every request is answered in time, by the gear or by a fault.",
+        "shift state machine: push, retries, fault",
+        _unanswered_request,
+    ),
+    Rule(
+        "internal_fault",
+        "The firmware never reports the fault INTERNAL, which only an error of its own can raise.",
+        "controller.firmware",
+        _internal_fault,
+    ),
+    Rule(
+        "sender_rules",
+        "The controller numbers its frames and adds their checksums as end-to-end protection demands.",
+        "AUTOSAR PRS E2E Protocol, profile 2",
+        _sender_rules,
+    ),
+    Rule(
+        "outputs_in_range",
+        "Every value that the controller sends is within the range of the DBC.",
+        "can_dbc/opc4.dbc",
+        _outputs_in_range,
+    ),
+)

@@ -1,0 +1,217 @@
+"""Generations of drawn scenarios; what one generation reached guides the drawing of the next.
+
+Scenario n of generation g depends on the seed, g, n, and what earlier generations reached: not on
+the number of workers, nor on the wall clock. A generation is one line of swarm.jsonl, from
+which an interrupted swarm goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib.metadata import version
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from can_dbc.errors import InputError
+from sil.rules import Rule, Violation
+from sil.swarm.attempt import Attempt, attempt
+from sil.swarm.draw import Table, neighbour, new_table
+from sil.swarm.shrink import shrink
+
+GENERATION = 256
+SWARM_FILE = "swarm.jsonl"
+Runner = Callable[[Callable[[Table], Attempt], Sequence[Table]], Iterator[Attempt]]
+
+
+class Failure(msgspec.Struct, frozen=True, kw_only=True):
+    """A way to break a rule: the shrunk scenario, and what happens in it."""
+
+    rule: str
+    text: str
+    time_s: float
+    table: dict[str, Any]
+    drawn: str
+    """Generation and number of the scenario that was shrunk."""
+
+    @property
+    def cause(self) -> tuple[str, ...]:
+        """The rule with the kinds of fault that are needed to break it: reported once."""
+        rows = [
+            f"{name}.{row['kind']}"
+            for name, entries in self.table.items()
+            if name.endswith("fault")
+            for row in entries
+        ]
+        return (self.rule, *sorted(rows))
+
+
+class Generation(msgspec.Struct, frozen=True, kw_only=True):
+    """What a generation brought: numbers of scenarios that reached something new, and failures."""
+
+    number: int
+    runs: int
+    refused: int
+    wall_s: float
+    transitions: dict[str, int]
+    reached: dict[int, list[str]]
+    failures: list[Failure]
+    broken: dict[str, int]
+    """Runs that broke each rule."""
+
+
+class Hunt:
+    """A swarm around a base scenario; `guided`: draws near what was new, not only blindly."""
+
+    def __init__(
+        self, base: Mapping[str, Any], seed: int, rules: Sequence[Rule], guided: bool = True
+    ) -> None:
+        self._base = dict(base)
+        self._seed = seed
+        self._rules = tuple(rules)
+        self._guided = guided
+        self.generations: list[Generation] = []
+        self.reached: set[str] = set()
+        self._promising: list[Table] = []
+        self._causes: set[tuple[str, ...]] = set()
+
+    @property
+    def digest(self) -> str:
+        """The hash of what the draws depend on: another swarm's generations are not continued."""
+        content: list[object] = [self._base, self._seed, self._guided, version("opc4-sil")]
+        content += [rule.name for rule in self._rules]
+        if firmware := self._base.get("firmware"):
+            files = (
+                sorted(Path(firmware).rglob("*.py"))
+                if Path(firmware).is_dir()
+                else [Path(firmware.partition(":")[0])]
+            )
+            content += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    def tables(self, generation: int) -> list[Table]:
+        """Return the scenario tables of a generation, given all before it."""
+        return [self._table(generation, number) for number in range(GENERATION)]
+
+    def _table(self, generation: int, number: int) -> Table:
+        rng = random.Random(f"{self._seed} {generation} {number}")
+        if self._guided and self._promising and rng.random() < 0.6:
+            return neighbour(rng, rng.choice(self._promising))
+        return new_table(rng, self._base)
+
+    def add(self, generation: Generation) -> None:
+        """Take what a finished generation brought."""
+        tables = self.tables(generation.number) if generation.reached else []
+        for number, features in generation.reached.items():
+            self.reached.update(features)
+            self._promising.append(tables[number])
+        self._causes.update(failure.cause for failure in generation.failures)
+        self.generations.append(generation)
+
+    def run(
+        self, runner: Runner, most_runs: int | None, until_s: float | None
+    ) -> Iterator[Generation]:
+        """Run generations until a number of runs, or a time of `time.monotonic`, is over."""
+        for number in count(len(self.generations)):
+            runs = sum(generation.runs for generation in self.generations)
+            if most_runs is not None and runs >= most_runs:
+                return
+            if until_s is not None and time.monotonic() >= until_s:
+                return
+            generation = self._generation(runner, number)
+            self.add(generation)
+            yield generation
+
+    def _generation(self, runner: Runner, number: int) -> Generation:
+        begun = time.perf_counter()
+        tables = self.tables(number)
+        seen = set(self.reached)
+        reached: dict[int, list[str]] = {}
+        transitions: dict[str, int] = {}
+        broken: dict[str, int] = {}
+        first: dict[str, int] = {}
+        refused = 0
+        for index, result in enumerate(runner(partial(attempt, rules=self._rules), tables)):
+            refused += bool(result.refused)
+            if new := sorted(set(result.reached) - seen):
+                reached[index] = new
+                seen.update(new)
+            for name, times in result.transitions.items():
+                transitions[name] = transitions.get(name, 0) + times
+            for violation in result.violations:
+                broken[violation.rule] = broken.get(violation.rule, 0) + 1
+                best = first.get(violation.rule)
+                if best is None or _size(tables[index]) < _size(tables[best]):
+                    first[violation.rule] = index
+        failures = [
+            failure
+            for rule, index in first.items()
+            if (failure := self._shrunk(rule, tables[index], f"{number}.{index}")).cause
+            not in self._causes
+        ]
+        return Generation(
+            number=number,
+            runs=len(tables),
+            refused=refused,
+            wall_s=round(time.perf_counter() - begun, 3),
+            transitions=transitions,
+            reached=reached,
+            failures=failures,
+            broken=broken,
+        )
+
+    def _shrunk(self, rule: str, table: Table, drawn: str) -> Failure:
+        def violation(candidate: Mapping[str, Any]) -> Violation | None:
+            broken = attempt(candidate, self._rules).violations
+            return next((each for each in broken if each.rule == rule), None)
+
+        def fails_at(candidate: Mapping[str, Any]) -> float | None:
+            broken = violation(candidate)
+            return None if broken is None else broken.time_s
+
+        smallest = shrink(table, fails_at)
+        broken = violation(smallest)
+        assert broken is not None
+        return Failure(
+            rule=rule, text=broken.text, time_s=broken.time_s, table=smallest, drawn=drawn
+        )
+
+
+def _size(table: Table) -> tuple[int, float]:
+    rows = sum(len(value) for value in table.values() if isinstance(value, list))
+    return rows + len(table.get("controller", ())), table["duration_s"]
+
+
+def stored_generations(folder: Path, digest: str) -> Iterable[Generation]:
+    """Return the generations that an interrupted swarm finished; a torn last line is dropped.
+
+    Raises InputError if the file is not that of a swarm, or that of another one.
+    """
+    path = folder / SWARM_FILE
+    try:
+        content = path.read_bytes()
+    except OSError:
+        raise InputError(
+            f"{folder}: --resume: no {SWARM_FILE}; expected a swarm's folder"
+        ) from None
+    whole = content.rfind(b"\n") + 1
+    if whole < len(content):
+        os.truncate(path, whole)
+    try:
+        first, *lines = content[:whole].splitlines()
+        stored = msgspec.json.decode(first, type=dict[str, str]).get("sha256")
+        generations = [msgspec.json.decode(line, type=Generation) for line in lines]
+    except (msgspec.MsgspecError, ValueError):
+        raise InputError(f"{path}: not the generations of a swarm; expected --force") from None
+    if stored != digest:
+        what = "of another target, seed, set of rules or version"
+        raise InputError(f"{path}: a swarm {what}; expected the same, or --force")
+    return generations

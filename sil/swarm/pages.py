@@ -1,0 +1,92 @@
+"""What a swarm hands over: failing scenarios with their pictures, swarm.json, and a page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from controller.shift import TRANSITIONS
+from sil.files.atomic import write_atomically
+from sil.files.output_folder import finite
+from sil.report.picture import save
+from sil.report.run_figure import run_figure
+from sil.report.shell import Head, Picture, render
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.load_scenario import from_table
+from sil.simulation.scenario_text import scenario_toml
+from sil.swarm.hunt import Failure, Hunt
+
+FAILURES = "failures"
+
+
+def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
+    """Write a scenario file for each failure into failures/; return the failures by name of file."""
+    shutil.rmtree(folder / FAILURES, ignore_errors=True)
+    (folder / FAILURES).mkdir()
+    failures: dict[str, Failure] = {}
+    for failure in (each for generation in hunt.generations for each in generation.failures):
+        number = 1 + sum(each.rule == failure.rule for each in failures.values())
+        name = f"{failure.rule}_{number}"
+        scenario = from_table({**failure.table, "name": name}, name).scenario
+        sentence = f"# {failure.rule}: {failure.text} at {failure.time_s:.3f} s.\n"
+        write_atomically(folder / FAILURES / f"{name}.toml", sentence + scenario_toml(scenario))
+        failures[f"{name}.toml"] = failure
+    return failures
+
+
+def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dict[str, Any]:
+    """Write swarm.json, the pictures and report.html; return the content of swarm.json."""
+    possible = {f"{a.name} -> {b.name}" for (a, _), b in TRANSITIONS.items() if a is not b}
+    taken: dict[str, int] = {}
+    for generation in hunt.generations:
+        for name, times in generation.transitions.items():
+            if name in possible:  # else a report between the two was lost
+                taken[name] = taken.get(name, 0) + times
+    result = {
+        "runs": sum(generation.runs for generation in hunt.generations),
+        "refused": sum(generation.refused for generation in hunt.generations),
+        "wall_s": sum(generation.wall_s for generation in hunt.generations),
+        "failures": {name: msgspec.to_builtins(each) for name, each in failures.items()},
+        "transitions": dict(sorted(taken.items(), key=lambda item: -item[1])),
+        "never_taken": sorted(possible - set(taken)),
+        "reached": len(hunt.reached),
+    }
+    write_atomically(folder / "swarm.json", json.dumps(finite(result), indent=1) + "\n")
+    pictures = {name: _picture(name, failure, folder) for name, failure in failures.items()}
+    runs, count = result["runs"], len(failures)
+    head = Head(
+        command="swarm",
+        name="swarm",
+        verdict=f"{count} failures" if count else "no rule broken",
+        good=not count,
+        tiles=[
+            (f"{runs:,}", "runs"),
+            (f"{len(taken)} of {len(possible)}", "transitions taken"),
+            (str(count), "failures"),
+        ],
+    )
+    rows = [
+        {"name": name, "rule": each.rule, "text": each.text, "picture": pictures[name]}
+        for name, each in failures.items()
+    ]
+    page = render("swarm.html", head, failures=rows, transitions=result["transitions"], never=result["never_taken"])  # fmt: skip
+    write_atomically(folder / "report.html", page)
+    return result
+
+
+def _picture(name: str, failure: Failure, folder: Path) -> Picture | None:
+    """Return the picture of a failing run; None if it did not run to the end."""
+    from can_dbc.errors import RunError
+
+    try:
+        run = run_in_memory(from_table(failure.table, name))
+    except RunError:
+        return None
+    stem = name.removesuffix(".toml")
+    figure = run_figure(run.record, run.shifts, f"{failure.rule} at {failure.time_s:.3f} s", failure.text)  # fmt: skip
+    return Picture(save(figure, folder / FAILURES, stem), f"the run of {name}", f"{stem}.png")

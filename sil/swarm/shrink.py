@@ -1,0 +1,83 @@
+"""The shortest scenario near a failing one that still breaks the same rule.
+
+hypothesis does not carry here: it shrinks only what it has drawn itself in the same process, and the
+runs of a swarm are drawn from seeds and executed elsewhere.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from sil.simulation.scenario import FAULT_TABLES
+from sil.swarm.draw import Table
+
+MOST_RUNS = 400
+
+ROWS = (*FAULT_TABLES, "request")
+
+
+def shrink(
+    table: Mapping[str, Any], fails_at: Callable[[Mapping[str, Any]], float | None]
+) -> Table:
+    """Return a table with fewer faults and requests, shorter, and with rounder numbers.
+
+    fails_at: returns the instant in s at which a table breaks the rule, None if it does not.
+    Takes the first simpler table that still fails, until none does or MOST_RUNS are spent.
+    """
+    smallest = copy.deepcopy(dict(table))
+    runs = 0
+    progressed = True
+    while progressed:
+        progressed = False
+        for simpler in _simpler(smallest, fails_at):
+            runs += 1
+            if runs > MOST_RUNS:
+                return smallest
+            if simpler != smallest and fails_at(simpler) is not None:
+                smallest, progressed = simpler, True
+                break
+    return smallest
+
+
+def _simpler(
+    table: Table, fails_at: Callable[[Mapping[str, Any]], float | None]
+) -> Iterator[Table]:
+    """Yield simpler tables, those first that take most away."""
+    at_s = fails_at(table)
+    if at_s is not None:
+        for digits in (1, 2):
+            end_s = round(at_s + 0.6 * 10.0**-digits, digits)
+            last_s = max((request["at_s"] for request in table["request"]), default=0.0)
+            if last_s < end_s < table["duration_s"]:
+                yield {**table, "duration_s": end_s}
+    for name in ROWS:
+        for index in range(len(table.get(name, ()))):
+            yield _with(table, name, [*table[name][:index], *table[name][index + 1 :]])
+    for name in ("controller", "driveline", "plant", "clock", "bus"):
+        if name in table:
+            yield {key: value for key, value in table.items() if key != name}
+            for key in table[name]:
+                yield _with(table, name, {k: v for k, v in table[name].items() if k != key})
+    yield {**table, "seed": 1}
+    for name in ROWS:
+        for index, row in enumerate(table.get(name, ())):
+            for simpler in _simpler_rows(row):
+                yield _with(table, name, [*table[name][:index], simpler, *table[name][index + 1 :]])
+
+
+def _simpler_rows(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for key in row:
+        if key not in ("kind", "gear", "at_s"):
+            yield {k: v for k, v in row.items() if k != key}
+    for key, value in row.items():
+        if isinstance(value, float):
+            for digits in (0, 1, 2, 3):
+                yield {**row, key: round(value, digits)}
+
+
+def _with(table: Table, name: str, value: Any) -> Table:
+    """Return the table with another value, or without it if the value is empty."""
+    rest = {key: other for key, other in table.items() if key != name}
+    return {**rest, name: value} if value or name == "request" else rest
