@@ -50,8 +50,10 @@ def orphaned(record: RunRecord, circumstances: Circumstances) -> NDArray[np.bool
     arrive; and while no command of the controller has arrived for longer than that timeout.
     """
     time_s = record.truth["time_s"]
+    if not len(time_s):
+        return np.zeros(0, dtype=np.bool_)
     on = np.any([record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0)
-    commanded_s = [-math.inf] + [
+    commanded_s = [float(time_s[0])] + [
         entry.arrival_ns / NS_PER_S
         for entry in record.frames_of(can_id_of(ValveCommand))
         if entry.sender == SENDER

@@ -20,6 +20,8 @@ from can_dbc.messages import (
 from plant.devices.conditions import ChamberName
 from sil.files.quantity import unit_of
 from sil.recording.run_record import CHAMBERS, RunRecord
+from sil.rules.rule import Circumstances, Violation, violations
+from sil.rules.shipped import RULES
 from sil.simulation.metrics import METRICS, Shift, gear_at
 from sil.simulation.results import Check
 
@@ -28,14 +30,17 @@ StateName = Literal["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", "HOLD", "VENT", "
 if TYPE_CHECKING:
     FaultName = str
     MetricName = str
+    RuleName = str
 else:
     FaultName = Literal[tuple(fault.name for fault in Fault if fault)]
     MetricName = Literal[tuple(METRICS)]
+    RuleName = Literal[tuple(rule.name for rule in RULES)]
 Instant = Literal[
     "requested", "commanded", "valve_open", "first_motion", "arrived", "confirmed", "blow_end"
 ]
 
 
+RULES_BROKEN = "rules broken"
 UNFINISHED = "neither confirmed nor refused at the end"
 
 
@@ -96,6 +101,8 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """Faults that the controller must have reported at some time; no others may."""
     valves_off_at_end: bool | None = None
     """Whether all valves are off at the end."""
+    violated: list[RuleName] = []
+    """Rules that the run breaks, as a fault may make it; all others must be kept."""
     metrics: dict[MetricName, Limits] = {}
     """Limits of metrics by name, e.g. shift_time_s = { max = 0.1 }."""
     timing: list[Timing] = []
@@ -107,7 +114,9 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class Observed:
     """What the expectations need of a run, collected piece by piece in order of time."""
 
-    def __init__(self, *records: RunRecord) -> None:
+    def __init__(self, circumstances: Circumstances, *records: RunRecord) -> None:
+        self._circumstances = circumstances
+        self.violations: dict[str, Violation] = {}
         self.stroke_m = math.nan
         self.counts: dict[type, int] = dict.fromkeys(
             (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion), 0
@@ -138,6 +147,8 @@ class Observed:
             self.faults |= message.faults
             if message.state.name not in self.visited:
                 self.visited.append(message.state.name)
+        for violation in violations(record, self._circumstances, RULES):
+            self.violations.setdefault(violation.rule, violation)
 
 
 def evaluate(
@@ -189,6 +200,9 @@ def evaluate(
         expected = sorted(wanted.valves_opened, key=CHAMBERS.index)
         opened = sorted(observed.opened, key=CHAMBERS.index)
         checks.append(_check("valves opened", opened, expected))
+    broken = [f"{v.rule} at {v.time_s:.3f} s: {v.text}" for v in observed.violations.values()]
+    as_stated = set(observed.violations) == set(wanted.violated)
+    checks.append(_check(RULES_BROKEN, broken, wanted.violated, as_stated))
     for name, limits in wanted.metrics.items():
         checks.append(limits.check(name, metrics.get(name), unit_of(name)))
     return checks + [_timing(t, shifts) for t in wanted.timing]

@@ -29,6 +29,7 @@ from sil.firmware.cost import Cost, cost_metrics
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
 from sil.recording.run_record import Floats, PlantEvent, RunRecord
 from sil.simulation import build, metrics
+from sil.simulation.circumstances import circumstances
 from sil.simulation.expectations import UNFINISHED, Observed, evaluate
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check
@@ -56,7 +57,12 @@ class Run:
     @cached_property
     def checks(self) -> list[Check]:
         """The expectations of the scenario with their values and limits."""
-        return checks_of(self.loaded, Observed(self.record), self.shifts, self.metrics)
+        return checks_of(
+            self.loaded,
+            Observed(circumstances(self.scenario), self.record),
+            self.shifts,
+            self.metrics,
+        )
 
     @property
     def scenario(self) -> Scenario:

@@ -39,6 +39,7 @@ from sil.recording.trace_csv import TraceCsv
 from sil.simulation import build, expectations, metrics
 from sil.simulation.build import SCENARIO, SENDERS, Say
 from sil.simulation.bus_figures import bus_figures, overload, response_check
+from sil.simulation.circumstances import circumstances
 from sil.simulation.free_run import CLOCK_ZERO, FreeRun
 from sil.simulation.in_memory import checks_of
 from sil.simulation.load_scenario import Loaded
@@ -276,7 +277,7 @@ def _figures(
     scenario: Scenario, recorded: RunReader, path: Path
 ) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
     """Write the trace of a run, and collect observations and shifts, piece by piece."""
-    observed = expectations.Observed()
+    observed = expectations.Observed(circumstances(scenario))
     gear = build.gear_of(scenario.initial_gear)
     changes: list[tuple[float, Gear, Gear]] = []
     switchings = 0

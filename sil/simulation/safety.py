@@ -14,12 +14,11 @@ import numpy as np
 
 from can_dbc.messages import Fault, Gear
 from sil.coupling.clock import NS_PER_S
-from sil.coupling.faults import BusOff, Dead, Delay, Replayed, Stalled
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import longest_run
 from sil.rules.reports import REPORT_HOLDS_S, Reports, accepted_status, falsely_reported
-from sil.rules.rule import Circumstances
 from sil.rules.shipped import orphaned
+from sil.simulation.circumstances import circumstances
 from sil.simulation.metrics import gear_at
 from sil.simulation.scenario import FAULT_TABLES, Scenario
 
@@ -108,16 +107,6 @@ def _reported_at(status: Reports, at_s: float) -> float:
     return float(message.confirmed)
 
 
-def controller_down_s(scenario: Scenario) -> list[tuple[float, float]]:
-    """Return the intervals in s in which the controller is dead or cut off from the plant."""
-    return [
-        (fault.start_s, math.inf if fault.end_s is None else fault.end_s)
-        for fault in scenario.fault
-        if (isinstance(fault, Dead | Stalled) and fault.node == "controller")
-        or (isinstance(fault, BusOff) and fault.node in ("controller", "plant"))
-    ]
-
-
 def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
     """Return for how long in s the valve driver energised a coil without a living controller."""
     rows = np.count_nonzero(orphaned(record, circumstances(scenario)))
@@ -128,39 +117,3 @@ def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
     """Return the longest time in s for which a gear was reported that the stay was not in."""
     wrong = falsely_reported(record, scenario.controller.windows)
     return longest_run(wrong) * float(np.median(np.diff(record.truth["time_s"])))
-
-
-def circumstances(scenario: Scenario) -> Circumstances:
-    """Return what the rules may know of a run of this scenario."""
-    faults = scenario.fault
-    kinds = [fault.kind for fault in scenario.sensor_fault]
-    kinds += [fault.kind for fault in scenario.temperature_fault]
-    lies = "wrong" in kinds or "stuck" in kinds
-    return Circumstances(
-        control=scenario.controller,
-        driver_timeout_s=scenario.valve_driver.timeout_s,
-        late_s=_stated_delays_s(scenario),
-        sight_s=math.inf if lies else sight_s(scenario),
-        repeated_s=max((f.delay_s for f in faults if isinstance(f, Replayed)), default=0.0),
-        down_s=tuple(controller_down_s(scenario)),
-        disturbed=bool(faults) or scenario.bus.extra_load > 0.0,
-        slow_clock=1.0 / (1.0 + 1e-6 * scenario.clock.controller_ppm),
-    )
-
-
-def sight_s(scenario: Scenario) -> float:
-    """Return the longest time in s until a motion shows in the status frames.
-
-    The sum of a pulse period, the sensor's delays, two steps of the firmware, the bus, and the
-    delays of stated faults.
-    """
-    sensor, controller = scenario.sensor, scenario.controller
-    total_s = sensor.period_s + sensor.capture_s + sensor.delay_s
-    late = max((f.late for f in scenario.sensor_fault if f.kind == "delayed"), default=0)
-    total_s += late * sensor.period_s
-    return total_s + 2.0 * controller.period_s + 0.005 + _stated_delays_s(scenario)
-
-
-def _stated_delays_s(scenario: Scenario) -> float:
-    """Return the longest delay in s that faults of the bus add to a frame."""
-    return sum(f.delay_s + f.jitter_s for f in scenario.fault if isinstance(f, Delay))

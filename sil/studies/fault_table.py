@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from can_dbc.messages import Fault, Gear
 from sil.files.quantity import counted
 from sil.report.figure import Figure, Panel, Span, Stack
-from sil.simulation.safety import sight_s
+from sil.simulation.circumstances import sight_s
 from sil.studies.figures import numbered, title_of
 from sil.studies.study import Study, Table
 from sil.studies.table import markdown

@@ -12,9 +12,9 @@ from can_dbc.messages import ControllerStatus, Fault, ShiftState
 from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import RunRecord
 from sil.rules import Rule, Violation, violations
+from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import from_table
-from sil.simulation.safety import circumstances
 from sil.simulation.scenario import FAULT_TABLES, Scenario
 
 

@@ -72,12 +72,19 @@ class Hunt:
     """A swarm around a base scenario; `guided`: draws near what was new, not only blindly."""
 
     def __init__(
-        self, base: Mapping[str, Any], seed: int, rules: Sequence[Rule], guided: bool = True
+        self,
+        base: Mapping[str, Any],
+        seed: int,
+        rules: Sequence[Rule],
+        *,
+        guided: bool = True,
+        size: int = GENERATION,
     ) -> None:
         self._base = dict(base)
         self._seed = seed
         self._rules = tuple(rules)
         self._guided = guided
+        self._size = size
         self.generations: list[Generation] = []
         self.reached: set[str] = set()
         self._promising: list[Table] = []
@@ -86,7 +93,13 @@ class Hunt:
     @property
     def digest(self) -> str:
         """The hash of what the draws depend on: another swarm's generations are not continued."""
-        content: list[object] = [self._base, self._seed, self._guided, version("opc4-sil")]
+        content: list[object] = [
+            self._base,
+            self._seed,
+            self._guided,
+            self._size,
+            version("opc4-sil"),
+        ]
         content += [rule.name for rule in self._rules]
         if firmware := self._base.get("firmware"):
             files = (
@@ -99,7 +112,7 @@ class Hunt:
 
     def tables(self, generation: int) -> list[Table]:
         """Return the scenario tables of a generation, given all before it."""
-        return [self._table(generation, number) for number in range(GENERATION)]
+        return [self._table(generation, number) for number in range(self._size)]
 
     def _table(self, generation: int, number: int) -> Table:
         rng = random.Random(f"{self._seed} {generation} {number}")

@@ -34,7 +34,8 @@ def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
         name = f"{failure.rule}_{number}"
         scenario = from_table({**failure.table, "name": name}, name).scenario
         sentence = f"# {failure.rule}: {failure.text} at {failure.time_s:.3f} s.\n"
-        write_atomically(folder / FAILURES / f"{name}.toml", sentence + scenario_toml(scenario))
+        text = sentence + scenario_toml(scenario) + "\n[expect]\nunfinished = true\n"
+        write_atomically(folder / FAILURES / f"{name}.toml", text)
         failures[f"{name}.toml"] = failure
     return failures
 

@@ -7,16 +7,20 @@ from typing import Any
 import pytest
 
 from can_dbc.messages import Gear
+from controller.settings import ControlConfig
+from sil.rules import Circumstances
 from sil.simulation import metrics
 from sil.simulation.expectations import Expectations, Limits, Observed, Timing, evaluate
 from tests.support import made_run
+
+GIVEN = Circumstances(ControlConfig(), driver_timeout_s=9.0, disturbed=True)
 
 
 def judged(last_request: Any = None, **wanted: Any) -> dict[str, bool]:
     record = made_run.made()
     found = metrics.shifts(record, Gear.NEUTRAL)
     figures = metrics.summary(found, 0.0, 2, 200)
-    checks = evaluate(Expectations(**wanted), Observed(record), found, figures, last_request)
+    checks = evaluate(Expectations(**wanted), Observed(GIVEN, record), found, figures, last_request)
     return {c.name: c.passed for c in checks}
 
 
@@ -26,6 +30,7 @@ def test_an_empty_table_still_refuses_an_empty_success() -> None:
         "ValveCommand frames on the bus": True,
         "ControllerStatus frames on the bus": True,
         "PlantMotion frames on the bus": True,
+        "rules broken": True,
     }
     finished = judged("backward")
     assert finished["a valve opened"] and finished["request for backward"]

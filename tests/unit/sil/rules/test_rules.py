@@ -1,0 +1,129 @@
+"""Each rule: kept by a healthy run, broken by a record in which just that is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from can_dbc.codec import can_id_of
+from can_dbc.e2e import Protector
+from can_dbc.errors import InputError
+from can_dbc.messages import ControllerStatus, Fault, Gear, ShiftState, ValveCommand
+from sil.coupling.bus import BusFrame
+from sil.recording.run_record import RunRecord
+from sil.rules import violations
+from sil.rules.shipped import RULES
+from sil.rules.user_file import load_rules
+from sil.simulation.circumstances import circumstances
+from sil.simulation.in_memory import Run, run_in_memory
+from sil.simulation.load_scenario import from_table
+from tests.faults.drawn import base
+
+SHORT = {"controller": {"shift": {"push_timeout_s": 0.3, "retries": 0}}, "duration_s": 2.0}
+
+
+@cache
+def healthy() -> Run:
+    return run_in_memory(from_table(base("N-B") | SHORT, "test"))
+
+
+def broken(record: RunRecord, **changes: Any) -> list[str]:
+    given = dataclasses.replace(circumstances(healthy().scenario), **changes)
+    return [violation.rule for violation in violations(record, given, RULES)]
+
+
+def sent_otherwise(kind: type[Any], change: Callable[[float, Any], Any]) -> RunRecord:
+    """The healthy record with each message of a kind replaced by what `change` makes of it at its time, s."""
+    record, protector = healthy().record, Protector(kind)
+    frames = [frame for frame in record.frames if frame.frame.can_id != can_id_of(kind)]
+    for entry, message in record.of(kind):
+        frame = protector.protect(change(entry.released_ns / 1e9, message))
+        frames.append(BusFrame(entry.released_ns, entry.arrival_ns, entry.sender, frame))
+    return dataclasses.replace(record, frames=sorted(frames, key=lambda f: f.arrival_ns))
+
+
+def test_a_healthy_run_keeps_every_rule() -> None:
+    run = healthy()
+    assert run.shifts[0].confirmed_s is not None  # not vacuous: there was a shift
+    assert broken(run.record) == []
+    assert broken(sent_otherwise(ValveCommand, lambda _, command: command)) == []
+
+
+def test_a_coil_that_outlives_the_controller() -> None:
+    assert broken(healthy().record, down_s=((0.12, np.inf),)) == ["orphan_coil"]
+
+
+def test_a_gear_that_the_stay_is_not_in() -> None:
+    record = healthy().record
+    still = dict(record.truth) | {"position_m": np.zeros_like(record.truth["position_m"])}
+    assert broken(dataclasses.replace(record, truth=still)) == ["false_gear"]
+
+
+@pytest.mark.parametrize("at_s", [0.3, 0.16])
+def test_both_gears_filled_together_or_soon_after_each_other(at_s: float) -> None:
+    """Backward is filled from 0.11 s to some 0.3 s."""
+
+    def filled(time_s: float, command: ValveCommand) -> ValveCommand:
+        return dataclasses.replace(command, duty_f=0.98 if at_s < time_s < at_s + 0.02 else 0.0)
+
+    assert broken(sent_otherwise(ValveCommand, filled)) == ["opposed_chambers"]
+
+
+def test_a_coil_on_for_too_long() -> None:
+    always_on = sent_otherwise(ValveCommand, lambda _, c: dataclasses.replace(c, duty_n=0.98))
+    assert broken(always_on) == ["coil_on_time"]
+
+
+def test_a_request_that_nobody_answers() -> None:
+    def idle(_: float, status: ControllerStatus) -> ControllerStatus:
+        return dataclasses.replace(status, confirmed=Gear.UNKNOWN, state=ShiftState.IDLE)
+
+    assert broken(sent_otherwise(ControllerStatus, idle)) == ["unanswered_request"]
+    assert broken(sent_otherwise(ControllerStatus, idle), disturbed=True) == []
+
+
+def test_a_fault_that_only_an_error_can_raise() -> None:
+    failed = sent_otherwise(
+        ControllerStatus, lambda t, s: dataclasses.replace(s, faults=Fault.INTERNAL)
+    )
+    assert broken(failed) == ["internal_fault"]
+
+
+def test_frames_without_counter_or_within_no_range() -> None:
+    record = healthy().record
+    commands = [f for f in record.frames if f.frame.can_id == can_id_of(ValveCommand)]
+    again = [f._replace(frame=commands[0].frame) if f in commands else f for f in record.frames]
+    assert broken(dataclasses.replace(record, frames=again)) == ["sender_rules"]
+    data = bytearray(commands[5].frame.data)
+    data[2:] = b"\xff" * (len(data) - 2)
+    odd = commands[5].frame._replace(data=bytes(data))
+    wrong = [f._replace(frame=odd) if f is commands[5] else f for f in record.frames]
+    assert broken(dataclasses.replace(record, frames=wrong)) == ["sender_rules", "outputs_in_range"]
+
+
+def test_rules_of_a_users_file(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(
+        "from sil.rules import Rule\n"
+        "RULES = [Rule('never_there', 'No stop.', 'me', lambda r, c: (0.5, 'it stopped'))]\n"
+    )
+    rules = load_rules(str(file))
+    given = circumstances(healthy().scenario)
+    assert [v.rule for v in violations(healthy().record, given, rules)] == ["never_there"]
+    for text, place in (
+        ("1/0", "line 1: ZeroDivisionError"),
+        ("a =", "line 1: SyntaxError"),
+        ("RULES = 3", "RULES: not a list"),
+        (file.read_text().replace("never_there", "false_gear"), "'false_gear' is taken"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError, match=place):
+            load_rules(str(file))
+    with pytest.raises(InputError, match="no such file"):
+        load_rules(str(tmp_path / "none.py"))

@@ -1,0 +1,136 @@
+"""The swarm: the same runs wherever it runs, and a bug found, shrunk, and failing by itself."""
+
+from __future__ import annotations
+
+import json
+import random
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from can_dbc.errors import InputError
+from sil import cli
+from sil.files.worker import in_turn
+from sil.rules.shipped import RULES
+from sil.simulation.load_scenario import from_table
+from sil.swarm.draw import neighbour, new_table
+from sil.swarm.hunt import SWARM_FILE, Hunt, stored_generations
+from sil.swarm.shrink import shrink
+from tests.support.firmware_bugs import BUGS, with_bug
+
+BASE: dict[str, Any] = {"name": "swarm", "duration_s": 1.0, "request": []}
+
+
+def hunted(workers: int, generations: int, hunt: Hunt | None = None) -> Hunt:
+    hunt = hunt or Hunt(BASE, 3, RULES, size=8)
+    list(hunt.run(partial(in_turn, workers=workers), 8 * generations, None))
+    return hunt
+
+
+def comparable(hunt: Hunt) -> list[Any]:
+    return [
+        {k: v for k, v in msgspec.to_builtins(g).items() if k != "wall_s"} for g in hunt.generations
+    ]
+
+
+def test_what_is_drawn_is_a_scenario_and_so_are_its_neighbours() -> None:
+    rng, kinds = random.Random(5), set()
+    for _ in range(150):
+        table = neighbour(rng, new_table(rng, BASE))
+        scenario = from_table(table, "drawn").scenario
+        kinds.update(key for key in table if key.endswith("fault"))
+        assert scenario.request
+    assert kinds == {"fault", "sensor_fault", "temperature_fault", "speed_fault", "valve_fault"}
+
+
+def test_one_worker_two_or_an_interruption_make_no_difference(tmp_path: Path) -> None:
+    whole = hunted(1, 3)
+    assert sum(map(len, (g.reached for g in whole.generations))) > 8 and whole.reached
+    assert comparable(hunted(2, 3)) == comparable(whole)
+    first = hunted(1, 1)
+    lines = [json.dumps({"sha256": first.digest}).encode()]
+    lines += [msgspec.json.encode(generation) for generation in first.generations]
+    (tmp_path / SWARM_FILE).write_bytes(b"\n".join(lines) + b"\n" + lines[-1][:40])  # torn
+    resumed = Hunt(BASE, 3, RULES, size=8)
+    for generation in stored_generations(tmp_path, resumed.digest):
+        resumed.add(generation)
+    assert comparable(hunted(1, 3, resumed)) == comparable(whole)
+    with pytest.raises(InputError, match="another target, seed"):
+        stored_generations(tmp_path, Hunt(BASE, 4, RULES, size=8).digest)
+    with pytest.raises(InputError, match=f"no {SWARM_FILE}"):
+        stored_generations(tmp_path / "none", whole.digest)
+
+
+def test_shrinking_leaves_what_is_needed() -> None:
+    rng = random.Random(1)
+    table = new_table(rng, BASE)
+    table["duration_s"] = 4.0
+    table["request"] = [{"at_s": 0.1234, "gear": "forward"}, {"at_s": 0.9876, "gear": "neutral"}]
+    table["valve_fault"] = [
+        {"valve": "B", "kind": "stuck", "start_s": 0.2345, "end_s": 0.7},
+        {"valve": "F", "kind": "stuck", "start_s": 0.2345, "end_s": 0.7},
+    ]
+
+    def fails_at(candidate: Any) -> float | None:
+        valves = [fault.get("valve") for fault in candidate.get("valve_fault", ())]
+        gears = [request["gear"] for request in candidate["request"]]
+        return 0.5 if "F" in valves and "forward" in gears else None
+
+    assert shrink(table, fails_at) == {
+        "name": "swarm",
+        "seed": 1,
+        "duration_s": 0.6,
+        "trace_period_s": 0.001,
+        "initial_gear": table["initial_gear"],
+        "request": [{"at_s": 0.0, "gear": "forward"}],
+        "valve_fault": [{"valve": "F", "kind": "stuck"}],
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["lab_n_b"], "neither --runs nor --hours; expected one of them"),
+        (["lab_n_b", "--runs", "0"], "--runs 0"),
+        (["none", "--runs", "1"], "none: scenario: "),
+        (["none.py", "--runs", "1"], "no such file"),
+        (["lab_n_b", "--runs", "1", "--resume"], "--resume: no folder"),
+        (["lab_n_b", "--runs", "1", "--workers", "0"], "--workers 0"),
+    ],
+)
+def test_wrong_arguments_end_in_one_line(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["swarm", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_bug_is_found_and_fails_by_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    firmware = with_bug("timeout_off_by_one", tmp_path / "firmware")
+    out = tmp_path / "out"
+    command = ["swarm", str(firmware), "--runs", "256", "--workers", "2", "--out", str(out)]
+    assert cli.main(command) == 1
+    assert "unanswered_request" in capsys.readouterr().out
+    (file,) = (out / "failures").glob("*.toml")
+    assert file.with_suffix(".png").exists() and (out / "report.html").exists()
+    run = ["run", str(file), "--no-report", "--out", str(tmp_path / "run")]
+    assert cli.main(run) == 1
+    assert "rules broken" in capsys.readouterr().out
+    text = file.read_text().replace(str(firmware), "")
+    (tmp_path / "mended.toml").write_text(text)
+    mended = ["run", str(tmp_path / "mended.toml"), "--no-report", "--out", str(tmp_path / "run2")]
+    assert cli.main(mended) == 0
+
+
+def test_every_bug_is_one_change_of_the_source(tmp_path: Path) -> None:
+    for name, bug in BUGS.items():
+        changed = (with_bug(name, tmp_path / name) / bug.file).read_text()
+        compile(changed, bug.file, "exec")
+        assert bug.wrong in changed
