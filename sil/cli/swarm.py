@@ -79,7 +79,10 @@ def _base(arguments: argparse.Namespace) -> dict[str, Any]:
             raise InputError(f"{name} {value}: expected more than 0")
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
-    if Path(arguments.target).suffix in (".py", ".c", ".wasm") or Path(arguments.target).is_dir():
+    target = Path(arguments.target.partition(":")[0])
+    if target.suffix in (".py", ".c", ".wasm") or target.is_dir():
+        if not target.exists():
+            raise InputError(f"{target}: no such file; expected a scenario, or a firmware")
         table = {"name": "swarm", "duration_s": 1.0, "request": [], "firmware": arguments.target}
     else:
         table, path = load_scenario.read(arguments.target)

@@ -47,11 +47,10 @@ def _simpler(
     """Yield simpler tables, those first that take most away."""
     at_s = fails_at(table)
     if at_s is not None:
-        for digits in (1, 2):
-            end_s = round(at_s + 0.6 * 10.0**-digits, digits)
-            last_s = max((request["at_s"] for request in table["request"]), default=0.0)
-            if last_s < end_s < table["duration_s"]:
-                yield {**table, "duration_s": end_s}
+        end_s = round(at_s + 0.06, 1)
+        last_s = max((request["at_s"] for request in table["request"]), default=0.0)
+        if max(at_s, last_s) < end_s < table["duration_s"]:
+            yield {**table, "duration_s": end_s}
     for name in ROWS:
         for index in range(len(table.get(name, ()))):
             yield _with(table, name, [*table[name][:index], *table[name][index + 1 :]])
