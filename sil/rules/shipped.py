@@ -183,6 +183,26 @@ def _is_answer(status: ControllerStatus, target: Gear) -> bool:
     return refused or status.confirmed == target
 
 
+def _early_refusal(record: RunRecord, circumstances: Circumstances) -> Broken:
+    shift, period_s = circumstances.control.shift, circumstances.control.period_s
+    least_s = (shift.retries + 1) * shift.push_timeout_s + shift.retries * shift.retry_pause_s
+    least_s = (least_s - 3.0 * period_s) * circumstances.slow_clock
+    pushed_s = -math.inf
+    timed_out = False
+    for entry, status in record.each(ControllerStatus):
+        if entry.sender != SENDER:
+            continue
+        at_s = entry.released_ns / NS_PER_S
+        expired = Fault.SHIFT_TIMEOUT in status.faults
+        if expired and not timed_out and at_s - pushed_s < least_s:
+            what = f"a push is given up after {at_s - pushed_s:.2f} s; its attempts last {least_s:.2f} s"
+            return None if circumstances.disturbed else (at_s, what)
+        timed_out = expired
+        if status.state not in (ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.VENT):
+            pushed_s = at_s
+    return None
+
+
 def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
     for entry, status in record.each(ControllerStatus):
         if (
@@ -249,6 +269,12 @@ RULES = (
         "Every request is answered in time, by the gear or by a fault.",
         "shift state machine: push, retries, fault",
         _unanswered_request,
+    ),
+    Rule(
+        "early_refusal",
+        "No push is given up before all its attempts have timed out.",
+        "controller.shift.push_timeout_s, controller.shift.retries",
+        _early_refusal,
     ),
     Rule(
         "internal_fault",

@@ -28,6 +28,7 @@ SETTINGS: dict[str, tuple[Any, ...]] = {
         {"wait_for_sync": True, "sync_wait_s": 0.1, "push_timeout_s": 0.3},
         {"hold_s": 0.0, "vent_s": 0.0, "push_timeout_s": 0.3},
         {"vent_s": 0.5, "push_timeout_s": 0.3},
+        {"interlock_s": 0.4, "reversal_settle_s": 0.0},
     ),
     "strategy": ("blow_cut", "air_cushion", "sliding_mode", "synchro_brake", "bang_bang"),
 }

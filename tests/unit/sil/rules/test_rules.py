@@ -89,6 +89,14 @@ def test_a_request_that_nobody_answers() -> None:
     assert broken(sent_otherwise(ControllerStatus, idle), disturbed=True) == []
 
 
+def test_a_push_that_is_given_up_too_early() -> None:
+    def gives_up(time_s: float, status: ControllerStatus) -> ControllerStatus:
+        failed = dataclasses.replace(status, state=ShiftState.FAULT, faults=Fault.SHIFT_TIMEOUT)
+        return failed if time_s > 0.14 else status
+
+    assert broken(sent_otherwise(ControllerStatus, gives_up)) == ["early_refusal"]
+
+
 def test_a_fault_that_only_an_error_can_raise() -> None:
     failed = sent_otherwise(
         ControllerStatus, lambda t, s: dataclasses.replace(s, faults=Fault.INTERNAL)
