@@ -13,6 +13,7 @@ import msgspec
 from controller.shift import TRANSITIONS
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
+from sil.files.quantity import counted
 from sil.report.picture import save
 from sil.report.run_figure import run_figure
 from sil.report.shell import Head, Picture, render
@@ -63,7 +64,7 @@ def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dic
     head = Head(
         command="swarm",
         name="swarm",
-        verdict=f"{count} failures" if count else "no rule broken",
+        verdict=counted(count, "failure") if count else "no rule broken",
         good=not count,
         tiles=[
             (f"{runs:,}", "runs"),
