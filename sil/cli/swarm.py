@@ -70,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _base(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the table that every scenario is drawn around. Raises InputError."""
     from can_dbc.errors import InputError
+    from sil.firmware.load import IN_C, absolute, is_program
     from sil.simulation import load_scenario
 
     if arguments.runs is None and arguments.hours is None:
@@ -80,20 +81,17 @@ def _base(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     target = Path(arguments.target.partition(":")[0])
-    if target.suffix in (".py", ".c", ".wasm") or target.is_dir():
-        if not target.exists():
+    if is_program(arguments.target) or target.is_dir():
+        firmware = absolute(arguments.target, Path())
+        if arguments.target != IN_C and not target.exists():
             raise InputError(f"{target}: no such file; expected a scenario, or a firmware")
-        table = {"name": "swarm", "duration_s": 1.0, "request": [], "firmware": arguments.target}
-    else:
-        table, path = load_scenario.read(arguments.target)
-        load_scenario.load(arguments.target)
-        if table.get("firmware"):
-            table["firmware"] = str((path.parent / table["firmware"]).resolve())
-        table.pop("expect", None)
-        table["name"] = "swarm"
-    if "firmware" in table:
-        table["firmware"] = os.path.abspath(table["firmware"])
-        load_scenario.from_table(table, arguments.target)
+        return {"name": "swarm", "duration_s": 1.0, "request": [], "firmware": firmware}
+    loaded = load_scenario.load(arguments.target)
+    table, _ = load_scenario.read(arguments.target)
+    if loaded.scenario.firmware:
+        table["firmware"] = loaded.scenario.firmware
+    table.pop("expect", None)
+    table["name"] = "swarm"
     return table
 
 
