@@ -298,13 +298,39 @@ PYTHON_API = {
         "plant.systems.length_stroke:LengthStroke",
     ),
 }
+CONDITIONS = "StrokeConditions(kind='N-B', supply_pressure_pa=9e5, commands=((0.02, 'B', 0.98),))"
 EXAMPLES = {
-    "run": 'run("lab_n_b", {"controller.filter": False}).shifts[0].impact_speed_m_s',
-    "simulate": 'simulate("plan", {"valve.D_rise": 0.013})[0].states',
-    "whatif": 'whatif("sensor_delay", out="sensor_delay", workers=2).numbers["impact_speed_m_s"]',
-    "diagnose": 'diagnose("measured").as_json()["verdict"]',
-    "replay": 'replay("first/bus.log", {"controller.filter": False}).same',
+    "sil.api.run": 'run("lab_n_b", {"controller.filter": False}).shifts[0].impact_speed_m_s',
+    "sil.api.simulate": 'simulate("plan", {"valve.D_rise": 0.013})[0].stroke.position_m',
+    "sil.api.whatif": 'whatif("sensor_delay", out="sensor_delay").numbers["impact_speed_m_s"]',
+    "sil.api.diagnose": 'diagnose("measured").as_json()["verdict"]',
+    "sil.api.replay": 'replay("first/bus.log", {"controller.filter": False}).differs',
+    "sil.simulation.in_memory.Run": 'run("lab_n_b").signals["position_m"].max()',
+    "sil.simulation.metrics.Shift": 'run("lab_n_b").shifts[0].confirmed_s',
+    "sil.simulation.results.Check": '[c.name for c in run("lab_n_b").checks if not c.passed]',
+    "sil.campaign.simulate.SimulatedStroke": '[s.arrival_s for s in simulate("plan")]',
+    "sil.api.Sweep": 'whatif("piston_mass", out="mass").to_pandas()',
+    "sil.inference.campaign.diagnosis.Diagnosis": 'diagnose("measured").headline',
+    "sil.log_replay.replay.ReplayResult": 'replay("first/bus.log").comparison.differing_ticks',
+    "can_dbc.errors.InputError": """try:
+    run("lab_n_b", {"valve.D_fal": 0.02})
+except InputError as error:
+    print(error)  # --set valve.D_fal: no such value; expected one of valve.D_fall, ...""",
+    "can_dbc.errors.RunError": """try:
+    run("lab_n_b", {"firmware": "own.py"})
+except RunError as error:
+    print(error)  # where the firmware failed, and how""",
+    "controller.firmware.Inputs": "Inputs(pulses=(), request=ShiftRequest(Gear.BACKWARD)).request.target",
+    "controller.firmware.Outputs": "Firmware(FirmwareConfig()).step(0, Inputs()).valves.duty_b",
+    "controller.position.Calibration": "Calibration(FirmwareConfig().sensor).position_m(0.0016, 293.15)",
+    "plant.parameters.load": 'load("nominal").value("valve.D_fall")',
+    "plant.parameters.ParameterSet": 'load().override({"valve.D_fall": 0.02})["valve.D_fall"].unit',
+    "plant.effects.stroke_conditions.StrokeConditions": CONDITIONS,
+    "plant.systems.stroke.simulate": f"stroke = simulate(load(), {CONDITIONS}, np.linspace(0.0, 0.2, 401))",
+    "plant.systems.stroke.Stroke": "stroke.impact.speed_m_s, stroke.pressure_pa('B').max()",
+    "plant.systems.length_stroke.LengthStroke": 'LengthStroke(load(), initial="B").pistons_m',
 }
+"""By path: one expression or statement; tests/docs runs those that need no files."""
 
 
 def python_api() -> Iterator[str]:
@@ -325,7 +351,7 @@ def described(item: Any, path: str) -> Iterator[str]:
     if inspect.isfunction(item):
         yield from ("```python", signature(item), "```", "")
     yield from (*docstring(item), "")
-    if example := EXAMPLES.get(item.__name__):
+    if example := EXAMPLES.get(path):
         yield from ("```python", example, "```", "")
     if not inspect.isfunction(item):
         for name, annotation in inspect.get_annotations(item).items():

@@ -1,6 +1,6 @@
 """A firmware of your own, derived from the shipped one: change what you want to try.
 
-As it stands it behaves as the shipped firmware. `opc4 run lab_n_b --set firmware=own.py` runs it.
+As it stands it behaves as the shipped firmware. `opc4 run lab_n_b --firmware own.py` runs it.
 """
 
 from controller.config import FirmwareConfig
