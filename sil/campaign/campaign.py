@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 TOP = ("name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz")
 
 Text = Annotated[str, Meta(min_length=1)]
-Rate = Annotated[float, Meta(ge=1.0, le=1e8)]
+Rate = Annotated[float, Meta(gt=0.0, le=1e8)]
 
 
 LARGEST = 1e30
@@ -262,7 +262,11 @@ def load_campaign(path: str | Path) -> Campaign:
                 f"; for CAN logs: opc4 diagnose {path}/*, for others: opc4 diagnose --new DIR FILES"
             )
         raise InputError(what)
-    table = convert(read_toml(file), CampaignTable, str(file))
+    raw = read_toml(file)
+    rigs = ("fixed", "length", "both", "force")
+    if isinstance(raw.get("rig"), str) and raw["rig"] not in rigs:
+        raise InputError(f"{file}: rig: {raw['rig']!r}; expected one of {', '.join(rigs)}")
+    table = convert(raw, CampaignTable, str(file))
     check_files([entry.file for entry in table.stroke], file)
     last = max(len(table.stroke) - 1, 1)
     single = len(table.stroke) == 1

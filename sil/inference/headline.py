@@ -73,7 +73,7 @@ def size_of(name: str, item: Interval) -> tuple[str, str]:
     values, unit = [item.value, item.low, item.high], "" if item.unit == "-" else item.unit
     word = ""
     if name == "factor" and item.value > 2.0:
-        return f"{item.value:.2g} times the usual", f"{item.low:.2g} to {item.high:.2g} times"
+        return f"{item.value:#.2g} times the usual", f"{item.low:#.2g} to {item.high:#.2g} times"
     if name == "factor":
         sign = 1.0 if item.value > 1.0 else -1.0
         values, word = [sign * (v - 1.0) for v in values], " higher" if sign > 0.0 else " lower"

@@ -77,10 +77,13 @@ class Gain:
     after: float
 
     def __str__(self) -> str:
-        """Return the channel that changes most, before and after, as an engineer reads it."""
+        """Return the position, or the channel that changes most, before and after, as an engineer reads it."""
         if not self.channels:
             return "no channel is compared"
-        name = max(self.channels, key=lambda n: self.channels[n][0] / (self.channels[n][2] or 1.0))
+        over_noise = {name: row[0] / (row[2] or 1.0) for name, row in self.channels.items()}
+        name = max(over_noise, key=lambda n: over_noise[n])
+        if over_noise.get("position_m", 0.0) > 2.0:  # what a reader knows best
+            name = "position_m"
         unit = "N m" if name.endswith("_n_m") else unit_of(name)
         before, after, noise = (quantity(value, unit, 2) for value in self.channels[name])
         words = name.removesuffix("_n_m").removesuffix("_pa").removesuffix("_m").removesuffix("_n")

@@ -23,6 +23,7 @@ from sil.inference.candidate import Candidate
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.problem import Floats, Problem
 from sil.inference.refused import shown
+from sil.inference.workers import spread_out
 
 
 @dataclass(frozen=True)
@@ -88,17 +89,19 @@ class Detectable:
 
 
 def detectable(
-    fitter: Fitter, fit: FitResult | None, scores: Sequence[Score], gain: float
+    fitter: Fitter, fit: FitResult, scores: Sequence[Score], gain: float, workers: int
 ) -> list[Detectable]:
-    """Return the smallest size of each cause that would gain so much, by linear scores.
+    """Return the smallest size of each cause that would gain so much on top of a fit.
 
-    fit: where each size is tried itself (None: the scores alone). Each cause in the form in which
-    that is least. One that is missing would not have been noticed within its physical bounds.
+    Each cause in the form in which that is least. One that is missing would not have been noticed
+    within its physical bounds.
     """
+    if not scores:
+        return []
     sizes: dict[str, Detectable] = {}
-    screening = Screening(fitter, fit) if scores and fit is not None else None
-    for score in scores:
-        value = screening.smallest(score, gain) if screening else score.smallest(gain)
+    screening = Screening(fitter, fit)
+    values = spread_out(lambda score: screening.smallest(score, gain), scores, workers)
+    for score, value in zip(scores, values, strict=True):
         if value is None:
             continue
         names = [parameter.name for parameter in score.candidate.parameters[1:]]

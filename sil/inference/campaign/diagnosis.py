@@ -149,11 +149,11 @@ def diagnose(
     findings += check_strokes(model, final) + left_out(refusals, search, verdict, campaign.name)
     unable = ""
     gain = LIMITS.needed_gain(len(strokes)) * len(training) / len(strokes)
+    fit, scores = search.healthy, search.scores
     if verdict.claimed:
-        beside = search.unseen_beside(verdict.leader.training)
-        sizes = detectable(search.fitter, None, beside, gain)
-    else:
-        sizes = detectable(search.fitter, search.healthy, search.scores, gain)
+        fit = search.refine(verdict.leader.training, 0)
+        scores = search.unseen_beside(verdict.leader.training)
+    sizes = detectable(search.fitter, fit, scores, gain, workers)
     if verdict.kind == "consistent":
         unable = _unable(sizes, search)
     if unable:
