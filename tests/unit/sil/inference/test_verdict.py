@@ -61,7 +61,10 @@ def test_close_scores_without_misfit_follow_their_evidence() -> None:
 
 def test_a_model_error_makes_the_same_difference_say_less() -> None:
     assert weighed(entry(100.0, 0.0, "a"), entry(130.0, 0.0, "b", beyond=60.0))[0] > 0.97
-    unsure = (entry(100.0, 0.0, "a", beyond=2000.0), entry(130.0, 0.0, "b", beyond=2060.0))
+    unsure = (
+        entry(100.0, 0.0, "a", beyond=2000.0),
+        entry(130.0, 0.0, "b", beyond=2060.0, excess=1e7),
+    )
     assert 0.5 < weighed(*unsure)[0] < 0.7
 
 
