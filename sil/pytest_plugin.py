@@ -1,8 +1,9 @@
 """pytest plugin: scenario files as tests, and a fixture that runs scenarios.
 
 In the project's pytest configuration, `opc4_scenarios = scenarios/*.toml` collects each matching
-file as one test, which passes when every expectation of its scenario is met. `--opc4-out DIR` keeps
-each run's folder (picture, page, log, trace) there. The fixture `opc4_run` runs a scenario, given
+file as one test (`scenarios/**/*.toml`: subfolders too), which passes when every expectation of its
+scenario is met. `--opc4-out DIR` keeps each run's folder (picture, page, log, trace) there, under
+the path of the scenario. The fixture `opc4_run` runs a scenario, given
 by file, shipped name or table, and returns the run with its checks.
 Checked by: tests/unit/sil/test_pytest_plugin.py
 """
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from sil.simulation.results import Check
 
 PATTERNS, OUT = "opc4_scenarios", "--opc4-out"
+FILES = pytest.StashKey[set[Path]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -30,16 +32,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(OUT, metavar="DIR", help="keep the folder of each scenario run in DIR")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Find the files that are tests. Raises UsageError for a pattern that matches none."""
+    files: set[Path] = set()
+    for pattern in config.getini(PATTERNS):
+        try:
+            matching = set(config.rootpath.glob(pattern)) - {config.rootpath / "pyproject.toml"}
+        except (NotImplementedError, ValueError) as error:
+            raise pytest.UsageError(f"{PATTERNS}: {pattern}: {error}") from None
+        if not matching:
+            raise pytest.UsageError(
+                f"{PATTERNS}: {pattern}: no such file in {config.rootpath}; expected one at least"
+            )
+        files |= matching
+    config.stash[FILES] = files
+
+
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
     """Take the files that the configuration names."""
-    if file_path.suffix != ".toml":
-        return None
-    root = parent.config.rootpath
-    wanted = parent.config.getini(PATTERNS)
-    if not wanted or not file_path.is_relative_to(root):
-        return None
-    relative = file_path.relative_to(root)
-    if not any(relative.match(pattern) for pattern in wanted):
+    if file_path not in parent.config.stash[FILES]:
         return None
     scenario_file: ScenarioFile = ScenarioFile.from_parent(parent, path=file_path)
     return scenario_file
@@ -70,7 +81,7 @@ class ScenarioItem(pytest.Item):
         checks = (
             run_in_memory(loaded).checks
             if out is None
-            else _recorded(loaded, Path(out) / self.name)
+            else _recorded(loaded, Path(out, self.nodeid.split("::")[0]).with_suffix(""))
         )
         failed = [c for c in checks if not c.passed]
         if failed:

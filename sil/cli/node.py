@@ -62,9 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.coupling.transports.link import open_link, take_part
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import without_parent_steps
-    from sil.recording.recorder import EVENTS, PLANT_TRACE
+    from sil.recording.recorder import CLOCK_ZERO, EVENTS, PLANT_TRACE
     from sil.simulation import build, load_scenario
-    from sil.simulation.free_run import CLOCK_ZERO
 
     wait_s: float = arguments.timeout
     if not 0.0 <= wait_s <= 86400.0:

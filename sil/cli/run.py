@@ -77,7 +77,6 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import close_folders, prepare_folder
     from sil.simulation import load_scenario
     from sil.simulation.compared import against_shipped, without_expectations
-    from sil.simulation.free_run import jitter_lines
     from sil.simulation.results import as_json, junit_xml, write_result
 
     overrides: Overrides = {
@@ -120,6 +119,8 @@ def run(arguments: argparse.Namespace) -> int:
     if finished.result.complete:
         close_folders(None)  # the mark INCOMPLETE goes before the files are listed
     if free_running:
+        from sil.simulation.free_run import jitter_lines
+
         for line in jitter_lines(finished.result.bus):
             say(line)
     if arguments.json:

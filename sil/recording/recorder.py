@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 BUS_LOG, BUS_FRAMES = "bus.log", "bus.frames"
 PLANT_TRACE, EVENTS = "plant.trace", "events.jsonl"
+CLOCK_ZERO = "plant.zero"
+"""File next to the plant's trace: the instant, ns since 1970, at which its clock is zero."""
 TRACE_FORMAT = "opc4-trace-1"
 _HASHED_FRAME = struct.Struct("<QIB")
 

@@ -43,6 +43,7 @@ View = tuple[float, float]
 def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = 110) -> bytes:
     """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     drawing = draw(figure)
     drawing.set_dpi(dots_per_inch)  # letters are not as wide at every resolution
@@ -61,13 +62,13 @@ def _saved(drawing: Drawing, layout: Any, folder: Path, name: str, dots_per_inch
     for axes in drawing.axes:  # the solver's last digits are not the same in each process
         x, y, width, height = (round(each, 6) for each in axes.get_position(True).bounds)
         axes.set_position((x, y, width, height))
-    colour = drawing.get_facecolor()
     image, vectors = BytesIO(), BytesIO()
-    metadata = {"Software": None}
-    drawing.savefig(image, format="png", dpi=dots_per_inch, metadata=metadata, facecolor=colour)
+    # by the canvases, each drawing once: savefig draws twice
+    FigureCanvasAgg(drawing).print_png(image, metadata={"Software": None})
+    drawing.set_dpi(72)  # the unit of SVG is a point
     # random identifiers and the date would make each file another one
     with matplotlib.rc_context({"svg.hashsalt": name}):
-        drawing.savefig(vectors, format="svg", metadata={"Date": None}, facecolor=colour)
+        FigureCanvasSVG(drawing).print_svg(vectors, metadata={"Date": None})
     write_atomically(folder / f"{name}.png", image.getvalue())
     write_atomically(folder / f"{name}.svg", vectors.getvalue())
     return image.getvalue()

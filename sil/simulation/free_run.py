@@ -29,15 +29,12 @@ from sil.coupling.transports.channel import ParticipantLost
 from sil.coupling.transports.relay import Relay
 from sil.coupling.transports.wire import GUEST
 from sil.files.quantity import counted
-from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
+from sil.recording.recorder import CLOCK_ZERO, EVENTS, PLANT_TRACE, EventLog, TraceWriter
 from sil.recording.run_reader import event_of, open_trace
 from sil.simulation import build
 from sil.simulation.build import REMOTE, TIMEOUTS, Say
 from sil.simulation.bus_figures import COUNTS, message_rows
 from sil.simulation.load_scenario import Loaded
-
-CLOCK_ZERO = "plant.zero"
-"""File next to the plant's trace: the instant, ns since 1970, at which its clock is zero."""
 
 _SENDERS = {s.can_id: build.PARTICIPANT.get(s.senders[0], GUEST) for s in contract().values()}
 

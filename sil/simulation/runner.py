@@ -9,7 +9,7 @@ import time
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -27,6 +27,7 @@ from sil.recording.end_to_end import EndToEnd
 from sil.recording.recorder import (
     BUS_FRAMES,
     BUS_LOG,
+    CLOCK_ZERO,
     EVENTS,
     PLANT_TRACE,
     BusLog,
@@ -40,11 +41,13 @@ from sil.simulation import build, expectations, metrics
 from sil.simulation.build import SCENARIO, SENDERS, Say
 from sil.simulation.bus_figures import bus_figures, overload, response_check
 from sil.simulation.circumstances import circumstances
-from sil.simulation.free_run import CLOCK_ZERO, FreeRun
 from sil.simulation.in_memory import checks_of
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check, Result, versions, write_result
 from sil.simulation.scenario import Scenario, contradictions, expanded
+
+if TYPE_CHECKING:
+    from sil.simulation.free_run import FreeRun
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,9 @@ def run(
         with contextlib.ExitStack() as closing:
             base = _begin(loaded, folder, transport)
             arguments = (loaded, folder, transport, external, say, closing)
-            if free_running:
+            if free_running:  # python-can, whose import takes as long as a short run
+                from sil.simulation.free_run import FreeRun
+
                 free = FreeRun(*arguments)
             else:
                 channels = build.open_channels(*arguments)

@@ -27,10 +27,14 @@ def measure() -> Iterator[str]:
     bare = wall_s([sys.executable, "-c", "pass"])
     opc4 = [sys.executable, "-m", "sil.cli"]
     yield f"bare interpreter {1e3 * bare:6.0f} ms"
-    numpy = wall_s([sys.executable, "-c", "import numpy, numba"])
-    yield f"import numpy, numba {1e3 * numpy:6.0f} ms  {numpy / bare:5.1f} x bare"
+    libraries = wall_s([sys.executable, "-c", "import numpy, can, matplotlib.pyplot"])
+    yield f"import numpy, can, pyplot {1e3 * libraries:6.0f} ms  {libraries / bare:5.1f} x bare"
     with tempfile.TemporaryDirectory() as folder:
         run = [*opc4, "run", "lab_n_b", "--out", f"{folder}/run", "--force"]
-        for name, command in (("opc4 --help", [*opc4, "--help"]), ("opc4 run lab_n_b", run)):
+        for name, command in (
+            ("opc4 --help", [*opc4, "--help"]),
+            ("opc4 run lab_n_b", [*run, "--no-report"]),
+            ("with page, picture", run),
+        ):
             wall = wall_s(command)
-            yield f"{name:20} {1e3 * wall:6.0f} ms  {wall / bare:5.1f} x bare  {wall / numpy:5.2f} x numpy and numba"
+            yield f"{name:20} {1e3 * wall:6.0f} ms  {wall / bare:5.1f} x bare  {wall / libraries:5.2f} x the libraries"

@@ -41,6 +41,14 @@ def test_help_lists_every_command_and_imports_nothing_heavy() -> None:
         assert f"  {name:<10} {summary}\n" in done.stdout
 
 
+def test_a_run_in_one_process_imports_no_library_of_buses_and_logs() -> None:
+    program = "import sys, sil.simulation.runner as r; print({'can', 'asammdf', 'pandas'} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout == "set()\n"
+
+
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
 def test_every_command_has_help_with_an_example(
     name: str, capsys: pytest.CaptureFixture[str]
