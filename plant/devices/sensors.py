@@ -1,4 +1,4 @@
-"""Sensors of the position: inductive sensor, its filtered chain, potentiometer."""
+"""Sensors of the position: inductive sensor and its filtered chain."""
 
 from __future__ import annotations
 
@@ -210,22 +210,3 @@ class InternalChain:
         published_s = tick_s + self.latency_s + pulse_s
         index = np.searchsorted(published_s, time_s, side="right") - 1
         return np.asarray(values[np.maximum(index, 0)])
-
-
-@dataclass(frozen=True)
-class Potentiometer:
-    """Wire-wound linear potentiometer: offset, contact noise, then steps of its resolution.
-
-    Parameters: resolution_m, noise_sd_m, offset_m [m].
-    Source: thesis 2.2.3 (0.05 mm; its start force of 0.25 to 2 N is neglected).
-    """
-
-    resolution_m: float
-    noise_sd_m: float
-    offset_m: float = 0.0
-
-    def measure_m(self, position_m: Floats, generator: np.random.Generator) -> Floats:
-        """Measured positions [m] of true ones, any shape."""
-        noise = generator.normal(0.0, self.noise_sd_m, np.shape(position_m))
-        steps = np.rint((position_m + self.offset_m + noise) / self.resolution_m)
-        return np.asarray(steps * self.resolution_m)

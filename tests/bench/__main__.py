@@ -8,7 +8,7 @@ import sys
 
 import tests.bench
 
-HOURS = ("hidden_effects", "instruments", "soak", "truck_logs", "watch_logs")
+HOURS = ("hidden_effects", "instruments", "soak", "truck_logs")
 
 
 def main(wanted: list[str]) -> int:

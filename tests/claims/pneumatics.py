@@ -247,12 +247,12 @@ def _f28_dynamic_friction() -> Outcome:
 
 
 def _f29_friction_scatter() -> Outcome:
-    from plant.devices.sensors import Potentiometer
+    from tests.reference.instruments import potentiometer
 
-    pot = Potentiometer(value("potentiometer.resolution"), value("potentiometer.noise_sd"))
     generator = np.random.default_rng(29)
     stroke = plain("fixed")
-    measured = pot.measure_m(stroke.position_m, generator)
+    numbers = {name: value(name) for name in ("potentiometer.resolution", "potentiometer.noise_sd")}
+    measured = potentiometer(stroke.position_m, 0.0, numbers, generator)
     velocity = np.gradient(measured, stroke.time_s)
     kernel = np.hanning(11) / np.hanning(11).sum()
     smooth = np.convolve(velocity, kernel, "same")

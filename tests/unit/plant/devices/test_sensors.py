@@ -1,4 +1,4 @@
-"""Sensors: pulse and conversion, filtered chain and its lag, potentiometer, gauges, recorder."""
+"""Sensors: pulse and conversion, filtered chain and its lag, generators."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from plant.devices.sensors import (
     Floats,
     InductiveSensor,
     InternalChain,
-    Potentiometer,
     butterworth_sections,
     filter_from_rest,
     named_generator,
@@ -196,17 +195,6 @@ def test_faults_of_the_chain_are_differences_between_sensor_and_calibration() ->
 def test_nominal_set_gives_this_chain() -> None:
     chain = InternalChain.from_parameters(Nominal())
     assert chain == CHAIN
-
-
-# --- potentiometer and gauges ------------------------------------------------------------------
-def test_potentiometer_steps_and_offset() -> None:
-    still = Potentiometer(5e-5, 0.0, offset_m=2e-5)
-    rng = np.random.default_rng(0)
-    values = still.measure_m(np.array([0.0, 1e-5, 0.01285]), rng)
-    np.testing.assert_allclose(values, [0.0, 5e-5, 0.01285], atol=1e-12)
-    noisy = Potentiometer(5e-5, 1e-5).measure_m(np.full(20000, 2.5e-5), rng)
-    assert set(np.round(noisy / 5e-5)) == {0.0, 1.0}
-    assert np.mean(noisy) == pytest.approx(2.5e-5, abs=1e-6)
 
 
 def test_named_generators_are_reproducible_and_independent() -> None:
