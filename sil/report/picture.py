@@ -42,32 +42,25 @@ View = tuple[float, float]
 
 def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = 110) -> bytes:
     """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
+    import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     drawing = draw(figure)
     drawing.set_dpi(dots_per_inch)  # letters are not as wide at every resolution
-    FigureCanvasAgg(drawing)
-    layout: Any = drawing.get_layout_engine()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from")  # of a name: drawn as a box
-        return _saved(drawing, layout, folder, name, dots_per_inch)
-
-
-def _saved(drawing: Drawing, layout: Any, folder: Path, name: str, dots_per_inch: int) -> bytes:
-    import matplotlib
-
-    layout.execute(drawing)
-    drawing.set_layout_engine("none")
-    for axes in drawing.axes:  # the solver's last digits are not the same in each process
-        x, y, width, height = (round(each, 6) for each in axes.get_position(True).bounds)
-        axes.set_position((x, y, width, height))
     image, vectors = BytesIO(), BytesIO()
-    # by the canvases, each drawing once: savefig draws twice
-    FigureCanvasAgg(drawing).print_png(image, metadata={"Software": None})
-    drawing.set_dpi(72)  # the unit of SVG is a point
-    # random identifiers and the date would make each file another one
-    with matplotlib.rc_context({"svg.hashsalt": name}):
+    with warnings.catch_warnings(), matplotlib.rc_context({"svg.hashsalt": name}):
+        warnings.filterwarnings("ignore", "Glyph .* missing from")  # of a name: drawn as a box
+        canvas = FigureCanvasAgg(drawing)
+        layout: Any = drawing.get_layout_engine()
+        layout.execute(drawing)
+        drawing.set_layout_engine("none")
+        for axes in drawing.axes:  # the solver's last digits are not the same in each process
+            x, y, width, height = (round(each, 6) for each in axes.get_position(True).bounds)
+            axes.set_position((x, y, width, height))
+        # by the canvases, each drawing once: savefig draws twice. Without the date: same bytes again
+        canvas.print_png(image, metadata={"Software": None})
+        drawing.set_dpi(72)  # the unit of SVG is a point
         FigureCanvasSVG(drawing).print_svg(vectors, metadata={"Date": None})
     write_atomically(folder / f"{name}.png", image.getvalue())
     write_atomically(folder / f"{name}.svg", vectors.getvalue())
