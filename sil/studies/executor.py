@@ -18,9 +18,12 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from can_dbc.errors import InputError
+import msgspec
+
+from can_dbc.errors import InputError, RunError
 from sil.files.atomic import write_atomically
 from sil.files.worker import in_turn
+from sil.studies.inputs import changed_inputs, input_digests
 from sil.studies.study import Row, Study
 from sil.studies.table import RESULTS
 
@@ -83,13 +86,13 @@ def run_study(
     if a worker dies or the cluster cannot be reached.
     """
     path, begin = folder / RESULTS, 0
+    inputs = input_digests(study)
     if resume and path.exists():
         begin, length = completed(study, folder)
         os.truncate(path, length)
     else:
-        write_atomically(
-            folder / STATE, json.dumps({"study": study.file.name, "sha256": study.digest})
-        )
+        state = {"study": study.file.name, "inputs": inputs}
+        write_atomically(folder / STATE, json.dumps(state, indent=1) + "\n")
         write_atomically(path, header(study))
     rows = study.file.rows_together
     wanted = [(start, min(start + rows, study.size)) for start in range(begin, study.size, rows)]
@@ -109,6 +112,10 @@ def run_study(
             path.unlink()
             (folder / STATE).unlink()
         raise
+    if changed := changed_inputs(inputs, input_digests(study)):
+        raise RunError(
+            f"{path}: {', '.join(changed)} changed while the study ran; the rows are of both"
+        )
     return done - begin
 
 
@@ -137,12 +144,15 @@ def completed(study: Study, folder: Path) -> tuple[int, int]:
     """
     state = folder / STATE
     try:
-        digest = json.loads(state.read_text(encoding="utf-8"))["sha256"]
+        inputs = msgspec.convert(
+            json.loads(state.read_text(encoding="utf-8"))["inputs"], dict[str, str]
+        )
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{state}: not the state of a sweep; expected one begun here") from None
-    if digest != study.digest:
+    if changed := changed_inputs(inputs, input_digests(study)):
         raise InputError(
-            f"{folder}: holds the rows of another study; expected --force or another --out"
+            f"{folder}: holds the rows of another study: {', '.join(changed)} changed since; expected all as it "
+            "was, --force or another --out"
         )
     path = folder / RESULTS
     content = path.read_bytes()

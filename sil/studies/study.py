@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -163,13 +161,6 @@ class Study:
     file: StudyFile
     source: str
     base: tuple[dict[str, Any], Path] | None = None
-
-    @cached_property
-    def digest(self) -> str:
-        """The hash of everything that decides the rows."""
-        table = self.base[0] if self.base else None
-        text = json.dumps([msgspec.to_builtins(self.file), table], sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()
 
     @cached_property
     def points(self) -> list[tuple[Value, ...]]:

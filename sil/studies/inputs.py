@@ -1,0 +1,113 @@
+"""Everything that the rows of a study depend on, by content: what a resumed study has to have again.
+
+Checked by: tests/unit/sil/studies/test_inputs.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import tomllib
+from collections.abc import Iterator, Sequence
+from modulefinder import ModuleFinder
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from plant.effects.user_file import MARK
+from sil.simulation.results import versions
+
+if TYPE_CHECKING:
+    from sil.studies.study import Study
+
+PACKAGES = ("can_dbc", "controller", "plant", "sil")
+
+
+def input_digests(study: Study) -> dict[str, str]:
+    """Return what decides the rows, by name: a hash of each file's content, or a version.
+
+    Every text in the study and its scenario that names a file counts, with what such a TOML file names
+    and what such a Python file imports from its own folders.
+    """
+    table, scenario = study.base or ({}, Path())
+    keys = msgspec.to_builtins(study.file)
+    folders = (Path(study.source).parent, scenario.parent, Path())
+    files = sorted(set(_named_files([keys, table], folders, set())))
+    texts = {"the study": keys, "its scenario": table}
+    digests = {name: _hash(json.dumps(t, sort_keys=True, default=str)) for name, t in texts.items()}
+    digests |= {str(path): _hash(path.read_bytes()) for path in files}
+    return digests | {"the program": _program()} | versions()
+
+
+def changed_inputs(before: dict[str, str], now: dict[str, str]) -> list[str]:
+    """Return the names of what is not as it was before."""
+    return sorted(name for name in before | now if before.get(name) != now.get(name))
+
+
+def _hash(content: str | bytes) -> str:
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
+def _program() -> str:
+    """Return the hash of this program's own files, changed since or not of another version."""
+    root, digest = Path(__file__).parents[2], hashlib.sha256()
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in (".py", ".dbc", ".toml", ".c", ".h"):
+                digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from _texts(item)
+    elif isinstance(value, str) and len(value) < 1024 and value.isprintable():
+        yield value
+
+
+def _named_files(value: Any, folders: Sequence[Path], passed: set[Path]) -> Iterator[Path]:
+    """Yield the files that texts name, and those that these need; `passed`: those found before."""
+    for text in _texts(value):
+        name = text.partition(MARK)[0]
+        for path in (
+            folder / part for folder in folders for part in (name, name.rpartition(":")[0])
+        ):
+            path = path.resolve()
+            if path in passed or not path.exists() or path == Path.cwd():
+                continue
+            passed.add(path)
+            if path.is_dir() and (path / "controller" / "node.py").is_file():  # a checkout
+                yield from (p for package in PACKAGES[:2] for p in (path / package).rglob("*.py"))
+            elif path.is_file() and path.suffix:
+                yield path
+                yield from _needed_by(path, passed)
+
+
+def _needed_by(path: Path, passed: set[Path]) -> Iterator[Path]:
+    """Yield what a file refers to; a file that cannot be read is refused where it is used."""
+    try:
+        if path.suffix == ".toml":
+            table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+            yield from _named_files(table, (path.parent,), passed)
+        elif path.suffix == ".py":
+            yield from _imported(path)
+        elif path.suffix in (".c", ".h"):
+            yield from path.parent.glob("*.[ch]")
+    except (OSError, ValueError, SyntaxError):
+        return
+
+
+def _imported(path: Path) -> Iterator[Path]:
+    """Yield the files that a Python file imports, libraries and this program excepted."""
+    libraries = (sys.prefix, sys.base_prefix)
+    own = [entry for entry in sys.path if not str(Path(entry).resolve()).startswith(libraries)]
+    finder = ModuleFinder([str(path.parent), *own], excludes=PACKAGES)
+    finder.run_script(str(path))
+    for module in finder.modules.values():
+        if file := getattr(module, "__file__", None):
+            yield Path(file).resolve()
