@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from can_dbc import typed_toml
 from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_text
+from controller.config import FirmwareConfig
 from sil.files.output_folder import RESULT
 from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
 from sil.firmware.load import absolute, is_program
@@ -32,6 +35,8 @@ class ReplaySettings:
     own_run: bool
     recorded_ns: int
     free_running: bool = False
+    assumed: bool = False
+    """Nothing says which settings the recorded firmware had: the defaults are tried."""
 
 
 def find_settings(
@@ -78,7 +83,17 @@ def find_settings(
     if settings:
         description += " with " + ", ".join(setting_texts(settings))
     free_running = run is None and "mode" in result.get("bus", {})
-    return ReplaySettings(loaded, description, own_run, recorded_ns, free_running)
+    assumed = not own_run and firmware is None and not settings
+    return ReplaySettings(loaded, description, own_run, recorded_ns, free_running, assumed)
+
+
+def shipped_firmware() -> dict[str, str]:
+    """Return the shipped scenarios whose firmware has settings of its own: name and file."""
+    files: dict[bytes, tuple[str, str]] = {msgspec.json.encode(FirmwareConfig()): ("", "")}
+    for name, path in load_scenario.shipped().items():
+        settings = load_scenario.load(str(path)).scenario.controller
+        files.setdefault(msgspec.json.encode(settings), (name, str(path)))
+    return dict(filter(all, files.values()))
 
 
 def firmware_of(firmware: str) -> dict[str, Any]:
@@ -93,6 +108,8 @@ def firmware_of(firmware: str) -> dict[str, Any]:
             )
     else:
         table = typed_toml.read_toml(firmware)
+        if isinstance(table.get("vehicle"), dict) and isinstance(table.get("controller"), dict):
+            return {"controller": table["controller"], "vehicle": table["vehicle"]}
         if "controller" in table:
             table = table["controller"]
         elif "request" in table and "duration_s" in table:  # a scenario with the default firmware

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -22,7 +22,7 @@ from sil.files.quantity import counted
 from sil.firmware.load import firmware_node
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
-from sil.log_replay.options import ReplaySettings, find_settings
+from sil.log_replay.options import ReplaySettings, find_settings, shipped_firmware
 from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, ids_of_database
 from sil.log_replay.signals import Options
@@ -31,6 +31,8 @@ from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
 
 ESTIMATE = "ControllerStatus.estimate_m"
+MOST_FRAMES_TRIED = 200_000
+"""Of a log that is replayed with each of the shipped settings."""
 FORGOTTEN_M = 1e-6
 """What the filter still remembers of the motion before a replay begun in the middle, at most."""
 
@@ -70,6 +72,8 @@ class ReplayResult:
     plant: PlantSide | None
     foreign: list[tuple[str, int]]
     notes: list[str] = field(default_factory=list)
+    tried: int = 0
+    """How many settings were tried in vain where the log does not say which ones it has; else 0."""
 
     def _repr_html_(self) -> str:
         comparison = self.comparison
@@ -95,10 +99,26 @@ class ReplayResult:
 
 
 def replay(request: ReplayRequest) -> ReplayResult:
-    """Replay a log. Raises InputError for a log that cannot be replayed, or without a shift.
+    """Replay a log; where nothing says which settings its firmware had, try the shipped ones.
 
+    Raises InputError for a log that cannot be replayed, or without a shift.
     Checked by: tests/scenarios/test_replay.py
     """
+    outcome = _replay(request)
+    alone = request.reference is None and not request.plant and not request.closed_loop
+    if not (outcome.settings.assumed and outcome.differs and alone):
+        return outcome
+    tried = shipped_firmware() if outcome.frames <= MOST_FRAMES_TRIED else {}
+    for name, path in tried.items():
+        other = _replay(replace(request, firmware=path))
+        if not other.differs:
+            other.notes.append(f"settings found by trying the shipped ones: those of {name}")
+            return other
+    outcome.tried = len(tried) + 1
+    return outcome
+
+
+def _replay(request: ReplayRequest) -> ReplayResult:
     log = _Log(request)
     ready, grid = _timing(request, log)
     config = ready.loaded.scenario.controller

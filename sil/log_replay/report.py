@@ -80,6 +80,13 @@ def verdict(outcome: ReplayResult) -> str:
     else:
         signals = sum(1 for entry in comparison.signals.values() if entry.differing)
         text = f"{comparison.differing_ticks} of {counted(comparison.ticks, 'tick')} differ, in {counted(signals, 'signal')}"
+        if outcome.tried:
+            which = "the defaults do" if outcome.tried == 1 else f"{outcome.tried} shipped ones do"
+            text = (
+                f"nothing says which settings the recorded firmware had, and {which} not give its commands, so they "
+                "cannot be compared; expected its result.json or scenario, by --run or --firmware, or --set. "
+                f"With the defaults {text}"
+            )
     if outcome.plant is not None and outcome.request.plant:
         text += f"; {attribution(outcome)}"
     return text

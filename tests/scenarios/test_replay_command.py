@@ -97,3 +97,36 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
         (few, low), (many, high) = peak_memory(what, short), peak_memory(what, long)
         assert many == 3 * few
         assert high < 1.1 * low
+
+
+def test_a_log_alone_says_what_is_missing_or_finds_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def replayed(name: str, log: bytes) -> tuple[int, str]:
+        (tmp_path / f"{name}.log").write_bytes(log)
+        code = main(["replay", str(tmp_path / f"{name}.log"), "--out", str(tmp_path / name)])
+        return code, capsys.readouterr().out
+
+    for name in ("filter_off", "truck_torque_to_torque"):
+        golden = gzip.decompress((ROOT / f"tests/golden/{name}.log.gz").read_bytes())
+        code, text = replayed(name, golden)
+        assert code == 0 and f"found by trying the shipped ones: those of {name}" in text
+    assert (
+        main(
+            [
+                "run",
+                "lab_n_b",
+                "--set",
+                "controller.windows.samples=7",
+                "--out",
+                str(tmp_path / "run"),
+            ]
+        )
+        == 0
+    )
+    capsys.readouterr()
+    code, text = replayed("own", (tmp_path / "run" / "bus.log").read_bytes())
+    assert code == 1
+    first = text.splitlines()[0]
+    assert "nothing says which settings the recorded firmware had, and 11 shipped ones" in first
+    assert first.index("cannot be compared") < first.index("ticks differ")
