@@ -24,6 +24,7 @@ def generated() -> dict[str, str]:
         "reference/cli.md": ("Commands", commands()),
         "reference/can.md": ("CAN contract", messages()),
         "reference/keys.md": ("Keys of scenarios and studies", keys()),
+        "reference/campaign.md": ("Keys of campaign.toml", campaign_keys()),
         "reference/firmware.md": ("Firmware states", states()),
         "reference/python.md": ("Python", python_api()),
     }
@@ -124,18 +125,62 @@ def keys() -> Iterator[str]:
         ("Options of a replay", "", describe(Options)),
     ):
         yield from ("", f"## {title}", "")
-        tables: dict[str, list[Any]] = {}
-        for row in rows_of:
-            tables.setdefault(row.table.strip(), []).append(row)
-        for table, rows in tables.items():
-            yield from (f"### {title}: `{table}`" if table else f"### {title}: top level", "")
-            yield from ("| key | type | unit | default | range | |", "|---|---|---|---|---|---|")
-            for row in rows:
-                values = (f"`{row.key}`", row.type, row.unit, f"`{row.default}`", row.range)
-                yield f"| {' | '.join(map(cell, values))} | {cell(row.description)} |"
-            yield ""
-            if example := shown.get(kind, {}).get(table):
-                yield from ("```toml", example.strip(), "```", "")
+        yield from key_tables(title, rows_of, shown.get(kind, {}))
+
+
+def key_tables(title: str, rows_of: list[Any], shown: dict[str, str]) -> Iterator[str]:
+    """Yield a table of keys for each table of a file, with its example."""
+    tables: dict[str, list[Any]] = {}
+    for row in rows_of:
+        tables.setdefault(row.table.strip(), []).append(row)
+    for table, rows in tables.items():
+        yield from (f"### {title}: `{table}`" if table else f"### {title}: top level", "")
+        yield from ("| key | type | unit | default | range | |", "|---|---|---|---|---|---|")
+        for row in rows:
+            values = (f"`{row.key}`", row.type, row.unit, f"`{row.default}`", row.range)
+            yield f"| {' | '.join(map(cell, values))} | {cell(row.description)} |"
+        yield ""
+        if example := shown.get(table):
+            yield from ("```toml", example.strip(), "```", "")
+
+
+def campaign_keys() -> Iterator[str]:
+    """Yield the lines of the page of the keys of campaign.toml, and of the columns of its files."""
+    from docs.key_table import describe
+    from sil.campaign.campaign import CampaignTable, ColumnMap
+    from sil.campaign.units import UNITS
+    from sil.inference.force.record import ForceRig
+
+    yield "A campaign is a folder of measured files and a `campaign.toml`. `opc4 diagnose --new DIR --rig"
+    yield 'actuator|fixed|cylinder|force FILES` drafts it; every `"?"` in the draft is a question, and is refused until it is'
+    yield "answered. A key that is not listed is refused, too."
+    for title, record in (
+        ("Strokes of the actuator, its fixed piston, or a cylinder", CampaignTable),
+        ("Force and position of a body", ForceRig),
+    ):
+        yield from ("", f"## {title}", "")
+        yield from key_tables(title.split(" ")[0], describe(record), {})
+    yield from (
+        "## Columns",
+        "",
+        "Our columns, SI: `time_s`, `position_m` (from neutral, or from the start of a fixed piston),",
+    )
+    yield "`pressure_B_pa`, `pressure_N_pa`, `pressure_F_pa` or `pressure_1_pa`, `pressure_2_pa`, `pressure_oil2_pa`,"
+    yield '`position_internal_m` (as the control unit reports it), `cmd_B` and so on. With `rig = "force"`: `time_s`, `position_m`'
+    yield "or `angle_rad`, `force_n` or `torque_n_m`, `pressure_pa`, `pressure_2_pa`. Files with other names or units state each in"
+    yield "`[columns]`:"
+    yield from ("", "| key | type | unit | default | range | |", "|---|---|---|---|---|---|")
+    for row in describe(ColumnMap):
+        values = (f"`{row.key}`", row.type, row.unit, f"`{row.default}`", row.range)
+        yield f"| {' | '.join(map(cell, values))} | {cell(row.description)} |"
+    yield from (
+        "",
+        "Units that a draft converts, in a name (`x [mm]`) or in a row of their own:",
+        "",
+    )
+    yield from (
+        f"- `{name}`: {', '.join(f'`{unit}`' for unit in units)}" for name, units in UNITS.items()
+    )
 
 
 STATES = {

@@ -46,8 +46,10 @@ OWN = re.compile(
 class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
     """Where one of our columns comes from in another rig's file: column * scale + offset.
 
-    column: a name, or a formula of names as in `sil.campaign.tables.formula`; delay_s: by which the
-    channel lags behind time_s.
+    column: a name, or a formula of names as in `sil.campaign.formula`.
+    scale: factor to our unit.
+    offset: added after it, in our unit.
+    delay_s: by which the channel lags behind time_s.
     """
 
     column: Text
@@ -61,7 +63,25 @@ class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """One [[stroke]] of campaign.toml."""
+    """One [[stroke]] of campaign.toml.
+
+    file: of the stroke, beside campaign.toml.
+    kind: "fixed" of a fixed piston or cylinder, else from where to where: N neutral, B backward, F forward.
+    supply_pressure_pa: of the regulator; it counts as `pressures` says.
+    commands: each a time from the file's first sample in s, a valve ("1", "2" or "B", "N", "F") and its duty
+    from then on.
+    label: free text.
+    load: what the stay moves against.
+    spring_n_per_m: rate of that spring, unloaded at the start.
+    start_offset_m: position at the start of a fixed piston.
+    rest_s: how long nothing moved before.
+    charged_before: valves that were open before time 0, their chambers at the supply pressure; others are at atmosphere.
+    damper_model: of the oil in the damper.
+    flow_model: of the valves.
+    mounted: whether it sits on a gearbox, whose mass and linkage move with it.
+    mesh_force_n: peak of a barrier that resists the motion like friction.
+    sync_impulse_n_s: impulse after which a synchronizer lets the stay pass.
+    """
 
     file: Text
     kind: Literal["fixed", "N-B", "B-N", "N-F", "F-N"]
@@ -120,7 +140,17 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CampaignTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The keys of campaign.toml."""
+    """The keys of campaign.toml.
+
+    name: of the campaign, in results.
+    rig: what was measured: strokes of a fixed piston or cylinder, of the shifting actuator, or both.
+    atmosphere_pa: ambient pressure, absolute.
+    temperature_k: of supply and walls.
+    sample_rate_hz: of the files, nominally.
+    columns: ours = "theirs", or the table below, for files with other names or units.
+    pressures: what pressures in files and supply_pressure_pa count from: vacuum, or atmosphere_pa.
+    decimal: the decimal sign, for files that do not show it.
+    """
 
     name: Text
     rig: Literal["fixed", "length", "both"]

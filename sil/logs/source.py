@@ -54,7 +54,7 @@ class ByteSource:
             self.file: BinaryIO = open(copy or path, "rb")  # noqa: SIM115 closed by close()
             self.size = os.fstat(self.file.fileno()).st_size
         except OSError as error:
-            raise InputError(f"{path}: {error.strerror}; expected a readable log file") from None
+            raise self._unreadable(error) from None
         try:
             self._held = self.file.read(2)
             self.file.seek(0)
@@ -68,8 +68,10 @@ class ByteSource:
                 hint = " (SavvyCAN converts it to GVRET CSV)" if "capture" in name else ""
                 if self.head.startswith(mark):
                     raise InputError(f"{path}: is {name}; expected a log, plain or gzipped{hint}")
-        except BaseException:
+        except BaseException as error:
             self.file.close()
+            if isinstance(error, OSError):
+                raise self._unreadable(error) from None
             raise
 
     def read(self, size: int, /) -> bytes:
@@ -86,9 +88,7 @@ class ByteSource:
             self._report.skip(Location(f"damaged gzip block ({error})", byte=self.file.tell()))
             return b""
         except OSError as error:
-            raise InputError(
-                f"{self.path}: {error.strerror}; expected a readable log file"
-            ) from None
+            raise self._unreadable(error) from None
         self._unpacked += len(block)
         if self.packed and self._unpacked > MOST_UNPACKED_BYTES:
             raise InputError(
@@ -96,6 +96,9 @@ class ByteSource:
                 "unpacked"
             )
         return block
+
+    def _unreadable(self, error: OSError) -> InputError:
+        return InputError(f"{self.path}: {error.strerror}; expected a readable log file")
 
     @property
     def passed_bytes(self) -> float:

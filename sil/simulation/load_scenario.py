@@ -143,7 +143,10 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
     those of plant and controller.
     """
     controller = raw.get("controller")
-    if isinstance(controller, dict) and isinstance(controller.get("filter"), bool):
+    if isinstance(controller, dict) and not isinstance(controller.get("filter", {}), dict):
+        if not isinstance(controller["filter"], bool):
+            what = f"{typed_toml.one_line(str(controller['filter']))!r}; expected true or false, or a table"
+            raise InputError(f"{source}: controller.filter: {what}")
         controller["filter"] = {"enabled": controller["filter"]}
     if isinstance(model := raw.get("model"), dict):
         raw["model"] = without_units(dict(_flat(model, source, "")), source, unit_of_path)

@@ -52,7 +52,12 @@ ROTARY = {"N": "N m", "kg": "kg m^2", "N s/m": "N m s", "N/m": "N m", "N/Pa": "N
 
 
 class Body(Struct, frozen=True, forbid_unknown_fields=True):
-    """The [body] of campaign.toml."""
+    """The [body] of campaign.toml.
+
+    mass_kg: what moves; fitted if it is not stated.
+    piston_area_m2: under pressure_pa, negative if that pushes towards decreasing position.
+    slow_m_s: slower samples are left out; without it, 5 % of the usual largest speed.
+    """
 
     mass_kg: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
     piston_area_m2: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
@@ -64,14 +69,26 @@ class Body(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RecordedMotion(Struct, frozen=True, forbid_unknown_fields=True):
-    """One [[stroke]] of campaign.toml: a file, with one stroke or many."""
+    """One [[stroke]] of campaign.toml.
+
+    file: with one stroke or many, beside campaign.toml.
+    label: free text.
+    """
 
     file: Text
     label: str = ""
 
 
 class ForceRig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The keys of campaign.toml with rig = "force"."""
+    """The keys of campaign.toml with rig = "force".
+
+    name: of the campaign, in results.
+    rig: of what is measured: driving force and position of any body.
+    stroke: the files.
+    sample_rate_hz: at which samples are compared; without it, that of the slowest file.
+    columns: ours = "theirs", or the table below, for files with other names or units.
+    decimal: the decimal sign, for files that do not show it.
+    """
 
     name: Text
     rig: Literal["force"]
