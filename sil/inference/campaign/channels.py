@@ -144,7 +144,10 @@ def _without_scale(name: str, unit: str, ours: str, values: Floats) -> Channel:
 
 
 def pressures(channels: list[Channel], tables: Sequence[Mapping[str, Floats]]) -> str:
-    """Return whether pressures are absolute by their level, or "?" where only the user can tell."""
+    """Return whether pressures are absolute by their level, or "?" where only the user can tell.
+
+    tables: columns [n] of each file, in the files' units.
+    """
     lowest = [
         float(table[channel.name].min()) * (channel.scale or np.nan)
         for channel in channels
@@ -157,7 +160,10 @@ def pressures(channels: list[Channel], tables: Sequence[Mapping[str, Floats]]) -
 def commands(
     channels: list[Channel], table: Mapping[str, Floats]
 ) -> tuple[list[str], list[list[object]]]:
-    """Return which valves are on at the beginning, and each later change as time in s, valve, duty."""
+    """Return which valves are on at the beginning, and each later change as time in s, valve, duty.
+
+    table: columns [n] of a file, in its units.
+    """
     clock = next((c for c in channels if c.ours == "time_s" and c.scale), None)
     charged: list[str] = []
     changes: list[list[object]] = []
