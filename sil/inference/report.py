@@ -85,7 +85,8 @@ class Gain:
         if over_noise.get("position_m", 0.0) > 2.0:  # what a reader knows best
             name = "position_m"
         unit = "N m" if name.endswith("_n_m") else unit_of(name)
-        before, after, noise = (quantity(value, unit, 2) for value in self.channels[name])
+        first, second, floor = self.channels[name]
+        before, after, noise = (quantity(v, unit, 2) for v in (first, max(second, floor), floor))
         words = name.removesuffix("_n_m").removesuffix("_pa").removesuffix("_m").removesuffix("_n")
         change = before if before == after else f"from {before} to {after}"
         return f"rms of {words.replace('_', ' ')} {change}, of which noise is {noise}"

@@ -89,9 +89,13 @@ class Detectable:
 
 
 def detectable(
-    fitter: Fitter, fit: FitResult, scores: Sequence[Score], gain: float, workers: int
+    fitter: Fitter,
+    fit: FitResult,
+    scores: Sequence[Score],
+    gain: float,
+    workers: int,
 ) -> list[Detectable]:
-    """Return the smallest size of each cause that would gain so much on top of a fit.
+    """Return the smallest size of each cause that would gain so much in the blocks of a fit.
 
     Each cause in the form in which that is least. One that is missing would not have been noticed
     within its physical bounds.
@@ -176,6 +180,45 @@ class Screening:
         gain = 0.5 * slope * amount if amount > 0.0 or either else 0.0
         return Score(candidate, start, gain, amount, square, free)
 
+    def remaining(self, candidate: Candidate, start: tuple[float, ...]) -> float | None:
+        """Return the squared change that remains once all fitted quantities have followed it.
+
+        In standard deviations, the cost of their priors included; two Gauss-Newton steps, since edges
+        that move in time are not linear. None if it cannot be simulated.
+        """
+        fit, model = self.fit, self.fitter.model
+        healthy, units = fit.layout.healthy, len(model.unit)
+        own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
+        shared, scatter = np.zeros_like(fit.shared), np.zeros_like(fit.stroke)
+        for last in (False, False, True):
+            values = model.effect_values(fit.candidates, (fit.shared - shared)[healthy:])
+            both, tables = (*fit.candidates, candidate), (*values, own)
+            rest: dict[int, Floats] = {}
+            try:
+                for k, block in fit.blocks.items():
+                    there = model.changed(
+                        k, fit.shared - shared, fit.stroke[k] - scatter[k], both, tables
+                    )
+                    offsets = block.shared[:, units:healthy] @ shared[units:healthy]
+                    rest[k] = there - block.base - offsets
+            except IntegrationError:
+                return None
+            if last:
+                break
+            cross = -fit.layout.prior @ shared
+            pulls = {}
+            for k, c in rest.items():
+                block, (inverse, hus, _gs) = fit.blocks[k], self._inner[k]
+                pulls[k] = block.scatter.T @ c - scatter[k]
+                cross += block.shared.T @ c - hus @ (inverse @ pulls[k])
+            step = self._solved @ cross
+            shared += step
+            for k, pull in pulls.items():
+                inverse, hus, _gs = self._inner[k]
+                scatter[k] += inverse @ (pull - hus.T @ step)
+        squares = sum(float(c @ c) for c in rest.values()) + float(np.sum(scatter**2))
+        return squares + float(shared @ fit.layout.prior @ shared)
+
     def smallest(self, score: Score, gain: float) -> float | None:
         """Return the value of the main parameter that would gain so much; None if out of its bounds.
 
@@ -199,11 +242,11 @@ class Screening:
             value = main.neutral + copysign(by, first)
             if not main.low <= value <= main.high:
                 return None
-            trial = self.score(score.candidate, (value, *others))
-            if trial is None or trial.square == 0.0:
+            square = self.remaining(score.candidate, (value, *others))
+            if not square:
                 return None
-            ratio = sqrt(2.0 * gain / trial.square)
-            if abs(ratio - 1.0) <= 0.1:
+            ratio = min(max(sqrt(2.0 * gain / square), 0.1), 10.0)
+            if abs(ratio - 1.0) <= 0.15:
                 break
             too_small, enough = (by, enough) if ratio > 1.0 else (too_small, by)
             by *= ratio

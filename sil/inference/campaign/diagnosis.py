@@ -148,11 +148,12 @@ def diagnose(
         claimed = _whole_fits(search.fitter, [verdict.leader] if verdict.claimed else [], 1)
     findings += check_strokes(model, final) + left_out(refusals, search, verdict, campaign.name)
     unable = ""
-    gain = LIMITS.needed_gain(len(strokes)) * len(training) / len(strokes)
+    gain = LIMITS.needed_gain(len(strokes)) * len(search.sample) / len(strokes)
     fit, scores = search.healthy, search.scores
     if verdict.claimed:
         fit = search.refine(verdict.leader.training, 0)
         scores = search.unseen_beside(verdict.leader.training)
+    fit = replace(fit, blocks={k: fit.blocks[k] for k in search.sample})
     sizes = detectable(search.fitter, fit, scores, gain, workers)
     if verdict.kind == "consistent":
         unable = _unable(sizes, search)
