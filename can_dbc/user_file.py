@@ -1,4 +1,4 @@
-"""Read a file that the user named: regular files only, and never more than a stated size.
+"""Read a file that the user named: regular files only, and never more than a stated size; run its Python.
 
 This module is in the lowest package because the DBC reader, the plant's models and sil read such
 files.
@@ -6,9 +6,12 @@ files.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from can_dbc.errors import InputError
 
@@ -65,6 +68,30 @@ def read_user_text(
         raise InputError(
             f"{Path(path)}: line {line}: byte 0x{byte:02X} is not UTF-8; expected {expected}"
         ) from None
+
+
+class ProcessExit(BaseException):
+    """A user's code called os._exit."""
+
+
+_LEAVE = os._exit
+
+
+@contextlib.contextmanager
+def exits_raise() -> Iterator[None]:
+    """Let os._exit raise ProcessExit while a user's code runs; in a process that it forks it is the real one."""
+    process = os.getpid()
+
+    def exit_here(status: int) -> Any:
+        if os.getpid() != process:
+            return _LEAVE(status)
+        raise ProcessExit(f"os._exit({status})")
+
+    os._exit = exit_here  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        os._exit = _LEAVE
 
 
 def _size(size: int) -> str:

@@ -24,7 +24,7 @@ from typing import Any, get_args
 import numpy as np
 
 from can_dbc.errors import nearest
-from can_dbc.user_file import read_user_text
+from can_dbc.user_file import ProcessExit, exits_raise, read_user_text
 from plant import effects as catalogue
 from plant.effects.added_term import ALL_TERMS, shown
 from plant.effects.effect import Effect, EffectParameter, Need, Scope, Variant
@@ -92,7 +92,8 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
     sys.modules[module.__name__] = module  # dataclasses of the file look their module up
     first = len(ALL_TERMS)
     try:
-        exec(compile(text, file, "exec"), module.__dict__)
+        with exits_raise():
+            exec(compile(text, file, "exec"), module.__dict__)
         effects = getattr(module, "EFFECTS", None)
         if not isinstance(effects, tuple | list) or not effects:
             raise InputError(f"{file}: no EFFECTS; expected EFFECTS = (effect, ...)")
@@ -120,8 +121,9 @@ def guarded(item: Any, file: str) -> Any:
     @functools.wraps(item.change)
     def change(setup: Setup, values: dict[str, float]) -> None:
         try:
-            item.change(setup, values)
-        except (Exception, SystemExit) as error:
+            with exits_raise():
+                item.change(setup, values)
+        except (Exception, SystemExit, ProcessExit) as error:
             expected = f"no error at {shown(values)}"
             raise InputError(described(error, file, expected)) from None
         if not np.isfinite(setup.p.array).all():

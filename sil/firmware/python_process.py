@@ -16,7 +16,6 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -25,13 +24,10 @@ import msgspec
 import numpy as np  # noqa: F401 - most firmware needs it: loaded once, before the forks
 
 from can_dbc.frame import Frame
+from can_dbc.user_file import exits_raise
 from controller.config import FirmwareConfig
 from controller.firmware import Inputs, Outputs
 from controller.node import ControllerNode, Steps
-
-
-class ProcessExit(BaseException):
-    """The firmware called os._exit."""
 
 
 class _Checked:
@@ -61,10 +57,9 @@ def serve(connection: Connection, stacks: int) -> None:
             _end_with(parent)
             faulthandler.enable(stacks, all_threads=False)
             faulthandler.register(signal.SIGUSR1, stacks, all_threads=False)
-            leave = os._exit
-            os._exit = _exit_in(os.getpid(), leave)  # type: ignore[assignment]
-            _run(connection, msgspec.msgpack.decode(message))
-            leave(0)
+            with exits_raise():
+                _run(connection, msgspec.msgpack.decode(message))
+            os._exit(0)
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         try:
             connection.send_bytes(_packed("ended", status))
@@ -141,17 +136,6 @@ def _described(path: Path, line: int, error: BaseException) -> str:
         line, text = error.lineno or line, f"{error.msg}; expected valid Python"
     text = " ".join(text.split())
     return f"{file}:{line}: {type(error).__name__}" + (f": {text}" if text else "")
-
-
-def _exit_in(process: int, leave: Callable[[int], Any]) -> Callable[[int], Any]:
-    """Return an os._exit that says where it was called; in a process forked by the user, the real one."""
-
-    def exit_here(status: int) -> Any:
-        if os.getpid() != process:
-            return leave(status)
-        raise ProcessExit(f"os._exit({status})")
-
-    return exit_here
 
 
 def _end_with(parent: int) -> None:

@@ -6,7 +6,7 @@ import runpy
 import traceback
 
 from can_dbc.errors import InputError
-from can_dbc.user_file import read_user_file
+from can_dbc.user_file import exits_raise, read_user_file
 from sil.rules.rule import Rule
 from sil.rules.shipped import RULES
 
@@ -20,7 +20,8 @@ def load_rules(file: str | None) -> tuple[Rule, ...]:
         return RULES
     read_user_file(file, "a Python file with RULES")
     try:
-        names = runpy.run_path(file)
+        with exits_raise():
+            names = runpy.run_path(file)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise

@@ -77,6 +77,7 @@ WRONG = {
     "no effects": ("EFFECTS = (end_seal,)", "", r": no EFFECTS; expected EFFECTS = "),
     "no effect": ("(end_seal,)", "(3,)", r": EFFECTS: 3; expected functions under @effect"),
     "exit": ("EFFECTS", "raise SystemExit(1)\nEFFECTS", r":30: SystemExit: 1; expected"),
+    "process": ("EFFECTS", "import os; os._exit(3)\nEFFECTS", r":30: ProcessExit: os\._exit\(3\)"),
     "division": ("EFFECTS", "1 / 0\nEFFECTS", r":30: ZeroDivisionError: division by zero; expected"),
     "no import": ("math import exp", "maths import exp", r":3: ModuleNotFoundError: No module named"),
     "missing field": (", typical=50.0", "", r":21: TypeError: EffectParameter\(\) missing .* 'typical'"),
@@ -137,6 +138,7 @@ AT_61 = "    if values['force_n'] == 61.0:\n        {}\n    grip.add"
     [
         ("raise KeyError('oops')", r"mine\.py:28: KeyError: 'oops'; expected"),
         ("raise SystemExit(4)", r"mine\.py:28: SystemExit: 4; expected"),
+        ("import os; os._exit(4)", r"mine\.py:28: ProcessExit: os\._exit\(4\); expected"),
         ("setup.p.f_run_s = 'x'", r"mine\.py:28: ValueError: could not convert string to float"),
         ("setup.p.f_run_s = float('nan')", r"mine\.py:16: effect 'end_seal': at force_n=61, .* not finite"),
     ],
