@@ -12,11 +12,13 @@ import msgspec
 from can_dbc.typed_toml import convert
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
+from sil.files.quantity import quantity, unit_of
 from sil.report.picture import save
 from sil.report.plots import Group, plots
 from sil.report.run_figure import run_figure
 from sil.report.shell import Head, Picture, render
 from sil.simulation.fault_marks import fault_spans
+from sil.simulation.metrics import METRICS
 from sil.simulation.results import Result
 from sil.simulation.scenario import Scenario
 
@@ -26,21 +28,11 @@ if TYPE_CHECKING:
 
 def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the figures at the top of the page."""
-    rows = [
-        ("shift time, request to stop", "shift_time_s", 1e3, "ms", 0),
-        ("impact speed", "impact_speed_m_s", 1.0, "m/s", 2),
-        ("impact energy", "impact_energy_j", 1.0, "J", 1),
-        ("hardest of all impacts", "impact_worst_energy_j", 1.0, "J", 2),
-        ("its peak force", "impact_worst_force_n", 1e-3, "kN", 1),
-        ("position late at 10 %", "position_lag_10_s", 1e3, "ms", 0),
-        ("position late at 90 %", "position_lag_90_s", 1e3, "ms", 0),
-        ("air used", "air_used_kg", 1e3, "g", 2),
-        ("valve switchings", "valve_switchings", 1, "", 0),
-    ]
+    left_out = ("impact_worst_m_s", "confirmed_early_s", "bus_lag_10_s", "bus_lag_90_s", "frames")
     return [
-        (f"{metrics[key] * scale:.{digits}f} {unit}".strip(), name)
-        for name, key, scale, unit, digits in rows
-        if metrics.get(key) is not None
+        (quantity(metrics[name], unit_of(name), 3), title)
+        for name, title in METRICS.items()
+        if metrics.get(name) is not None and name not in left_out
     ]
 
 

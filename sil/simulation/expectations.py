@@ -105,6 +105,8 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """Rules that the run breaks, as a fault may make it; all others must be kept."""
     metrics: dict[MetricName, Limits] = {}
     """Limits of metrics by name, e.g. shift_time_s = { max = 0.1 }."""
+    lockstep: dict[MetricName, Limits] = {}
+    """Limits of metrics that hold in lockstep only: nodes with clocks of their own sample at another phase."""
     timing: list[Timing] = []
     """Limits of the time between two instants of a shift."""
     min_frames: Annotated[int, msgspec.Meta(ge=1)] = 1
@@ -203,7 +205,7 @@ def evaluate(
     broken = [f"{v.rule} at {v.time_s:.3f} s: {v.text}" for v in observed.violations.values()]
     as_stated = set(observed.violations) == set(wanted.violated)
     checks.append(_check(RULES_BROKEN, broken, wanted.violated, as_stated))
-    for name, limits in wanted.metrics.items():
+    for name, limits in (*wanted.metrics.items(), *wanted.lockstep.items()):
         checks.append(limits.check(name, metrics.get(name), unit_of(name)))
     return checks + [_timing(t, shifts) for t in wanted.timing]
 

@@ -200,7 +200,9 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
 
 def _impossible_limits(expect: Expectations) -> Iterator[str]:
     named = [
-        (f"expect.metrics.{name}", each.min, each.max) for name, each in expect.metrics.items()
+        (f"expect.{table}.{name}", each.min, each.max)
+        for table in ("metrics", "lockstep")
+        for name, each in getattr(expect, table).items()
     ]
     named += [(f"expect.timing[{k}]", t.min_s, t.max_s) for k, t in enumerate(expect.timing)]
     for key, low, high in named:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from sil.simulation import load_scenario, runner
+from sil.simulation.fault_marks import fault_spans
+from sil.simulation.in_memory import run_in_memory
 from tests.scenarios.conftest import ShippedRun
 
 NAMES = sorted(load_scenario.shipped())
@@ -92,3 +94,22 @@ def test_an_expectation_that_does_not_hold_fails_the_run(tmp_path: Path) -> None
     assert finished.result.complete and not finished.result.passed
     assert finished.result.status == "failed"
     assert [c.name for c in finished.result.expectations if not c.passed] == ["final gear"]
+
+
+FREE = [name for name in NAMES if not fault_spans(load_scenario.load(name).scenario)]
+"""Scenarios that can run with free clocks: those without a fault of the lockstep."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FREE)
+@pytest.mark.parametrize(("sensor", "driver"), [(0.15, 0.94), (0.5, 0.0), (0.85, 0.5)])
+def test_expectations_hold_at_every_phase_of_the_sampling(
+    name: str, sensor: float, driver: float
+) -> None:
+    scenario = load_scenario.load(name).scenario
+    phases = {"sensor.phase_s": sensor * scenario.sensor.period_s}
+    if scenario.vehicle is None:
+        phases["driver.phase_s"] = driver * scenario.controller.period_s
+    run = run_in_memory(load_scenario.load(name, settings=phases))
+    stated = run.scenario.expect.lockstep
+    assert [c for c in run.checks if not c.passed and c.name not in stated] == []

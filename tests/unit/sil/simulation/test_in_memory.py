@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sil.simulation.in_memory import run_in_memory
+from sil.simulation.circumstances import circumstances
+from sil.simulation.expectations import Observed
+from sil.simulation.in_memory import checks_of, run_in_memory
 from sil.simulation.load_scenario import from_table, load
 from sil.simulation.runner import run
 
@@ -44,3 +46,12 @@ def test_a_request_that_the_run_is_too_short_for_fails_it_and_says_by_how_much()
     assert {"a valve opened", "request for backward"} == {c.name for c in checks if not c.passed}
     stated = nothing | {"expect": {"valves_opened": [], "unfinished": True}}
     assert run_in_memory(from_table(stated, "stated")).passed
+
+
+def test_limits_of_the_lockstep_do_not_judge_nodes_with_clocks_of_their_own() -> None:
+    settings = {"expect.lockstep": {"impact_speed_m_s": {"max": 0.1}}}
+    run = run_in_memory(load("lab_n_b", settings=settings))
+    assert [check.name for check in run.checks if not check.passed] == ["impact_speed_m_s"]
+    observed = Observed(circumstances(run.scenario), run.record)
+    free = checks_of(run.loaded, observed, run.shifts, run.metrics, lockstep=False)
+    assert all(check.passed for check in free) and len(free) == len(run.checks) - 1
