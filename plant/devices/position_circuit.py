@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import msgspec
@@ -157,12 +158,19 @@ class PositionCircuit:
 
 
 def _active(fault: SensorFault, tick_s: float, generator: Generator) -> ActiveFault[float]:
-    def counted(pulse_s: float) -> float:
-        return max(0, round(pulse_s / tick_s)) * tick_s
-
     return ActiveFault(
         fault,
         generator,
-        lambda pulse_s: counted(pulse_s + fault.offset_s),
-        lambda generator: counted(float(generator.uniform(0.0, fault.garbage_s))),
+        partial(offset_pulse_s, tick_s, fault.offset_s),
+        partial(garbage_pulse_s, tick_s, fault.garbage_s),
     )
+
+
+def offset_pulse_s(tick_s: float, offset_s: float, pulse_s: float) -> float:
+    """Return a pulse [s] that is wrong by offset_s, in whole ticks."""
+    return max(0, round((pulse_s + offset_s) / tick_s)) * tick_s
+
+
+def garbage_pulse_s(tick_s: float, longest_s: float, generator: Generator) -> float:
+    """Draw a pulse [s], in whole ticks."""
+    return offset_pulse_s(tick_s, 0.0, float(generator.uniform(0.0, longest_s)))

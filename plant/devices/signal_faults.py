@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
@@ -127,8 +128,8 @@ class Thermometer:
             ActiveFault[float](
                 fault,
                 named_generator(seed, "thermometer", i),
-                fault.offset_k.__add__,
-                lambda generator: float(generator.uniform(200.0, 450.0)),
+                partial(warmed, fault.offset_k),
+                garbage_k,
             )
             for i, fault in enumerate(faults)
         ]
@@ -172,16 +173,33 @@ class SpeedSensors:
 
 
 def _active(fault: SpeedFault, seed: int, index: int) -> ActiveFault[Speeds]:
-    def garbage(generator: Generator) -> Speeds:
-        drawn = generator.uniform(0.0, fault.garbage_rad_s, 2)
-        return float(drawn[0]), float(drawn[1])
-
     return ActiveFault(
         fault,
         named_generator(seed, "shaft speeds", index),
-        lambda speeds: (speeds[0] + fault.offset_rad_s, speeds[1]),
-        garbage,
+        partial(offset_input, fault.offset_rad_s),
+        partial(garbage_speeds, fault.garbage_rad_s),
     )
+
+
+def warmed(offset_k: float, temperature_k: float) -> float:
+    """Return a temperature [K] that reads offset_k too much."""
+    return offset_k + temperature_k
+
+
+def garbage_k(generator: Generator) -> float:
+    """Draw a temperature [K]."""
+    return float(generator.uniform(200.0, 450.0))
+
+
+def offset_input(offset_rad_s: float, speeds: Speeds) -> Speeds:
+    """Return the speeds [rad/s], that of the input wrong by offset_rad_s."""
+    return speeds[0] + offset_rad_s, speeds[1]
+
+
+def garbage_speeds(highest_rad_s: float, generator: Generator) -> Speeds:
+    """Draw two speeds [rad/s]."""
+    drawn = generator.uniform(0.0, highest_rad_s, 2)
+    return float(drawn[0]), float(drawn[1])
 
 
 def _in_range(speed_rad_s: float) -> float:

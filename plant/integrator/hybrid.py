@@ -110,11 +110,9 @@ class HybridSystem:
         self._p, self._c = p, c
         self._run, self._control = Run.zeros(), Control.zeros(np.int64)
         self._run.array[: len(y)] = y
-        self._y = self._run.array[: len(y)]
-        self._state: Any = state_record(system)(self._y)
-        self._n = self._state.size
+        self._length = len(y)
         self._control.modes = fresh_modes(system, load).array
-        self._m = Modes(self._control.modes)
+        self._view()
         self._m.line = 1 if has_line else 0
         run, control = self._run, self._control
         run.tolerance = tolerance
@@ -124,14 +122,29 @@ class HybridSystem:
         run.wanted = FIRST_STEP_S
         control.states = self._n
         control.quadratures = Quadratures.size
-        # stick-slip between closed chambers makes hundreds of events in a quarter second
-        self._record = np.zeros((2000, EventRow.size))
         self._impact_j = 0.0
         self.now_ns = 0
         self.events: list[Event] = []
         self._choose_modes()
         self._pv0 = self._pv()
         self._kinetic0 = self._kinetic()
+
+    def _view(self) -> None:
+        """Name the parts of the arrays, and make the memory that keeps nothing."""
+        self._y = self._run.array[: self._length]
+        self._state: Any = state_record(self._system)(self._y)
+        self._n = self._state.size
+        self._m = Modes(self._control.modes)
+        # stick-slip between closed chambers makes hundreds of events in a quarter second
+        self._record = np.zeros((2000, EventRow.size))
+
+    def __getstate__(self) -> dict[str, Any]:
+        views = ("_y", "_state", "_m", "_record")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._view()
 
     # --- state ------------------------------------------------------------------------------
     @property

@@ -16,6 +16,7 @@ from sil.cli.options import EFFECTS, FIRMWARE, JSON, MODEL, SEED, SETTINGS, argu
 
 if TYPE_CHECKING:
     from sil.simulation.load_scenario import Loaded, Overrides
+    from sil.simulation.runner import Finished
 
 EXAMPLE = """\
 example:
@@ -53,6 +54,10 @@ ARGUMENTS = (
         type=float,
     ),
     *(FIRMWARE, MODEL, EFFECTS, SETTINGS, SEED),
+    argument(
+        "--save-at", "save the state at this instant into DIR/state.opc4", "SECONDS", type=float
+    ),
+    argument("--from", "continue a saved state to its end", "FILE", type=Path, dest="state"),
     argument("--strict", "judge changed values of a shipped scenario by its expectations"),
     argument("--junit", "write the checks as JUnit XML", "FILE", type=Path),
     argument("--no-report", "no picture and no page"),
@@ -68,16 +73,16 @@ def run(arguments: argparse.Namespace) -> int:
         return _list()
     if arguments.new is not None:
         return write_draft("run", arguments, f"opc4 run {arguments.new}")
+    if arguments.state is not None:
+        return _continue(arguments)
     if arguments.scenario is None:
         raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
     if arguments.junit is not None:
         _check_junit(arguments.junit)
-    from sil.cli.run_summary import summary_lines
-    from sil.files.atomic import write_atomically
-    from sil.files.output_folder import close_folders, prepare_folder
+    from sil.files.output_folder import prepare_folder
     from sil.simulation import load_scenario
     from sil.simulation.compared import against_shipped, without_expectations
-    from sil.simulation.results import as_json, junit_xml, write_result
+    from sil.simulation.results import write_result
 
     overrides: Overrides = {
         "model": arguments.model,
@@ -95,6 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
     paced = arguments.speed is not None or arguments.transport == "inproc"
     free_running = arguments.realtime and not paced
     speed = 1.0 if arguments.speed is None and arguments.realtime and paced else arguments.speed
+    if arguments.save_at is not None:
+        _check_instant(arguments, loaded)
     folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force)
     from sil.simulation import runner
 
@@ -107,9 +114,56 @@ def run(arguments: argparse.Namespace) -> int:
         external=arguments.external,
         say=say,
     )
+    if arguments.save_at is not None:
+        from sil.simulation.loop import Loop, save
+
+        loop = Loop(loaded)  # the same once more: what a run holds is in its processes and files
+        loop.advance(arguments.save_at)
+        save(loop, folder / "state.opc4")
     if shipped is not None and finished.result.complete:
         finished = against_shipped(finished, shipped)
         write_result(finished.result, folder)
+    if free_running:
+        from sil.simulation.free_run import jitter_lines
+
+        for line in jitter_lines(finished.result.bus):
+            say(line)
+    return _report(arguments, finished, folder)
+
+
+def _check_instant(arguments: argparse.Namespace, loaded: Loaded) -> None:
+    """Raise InputError unless a state can be saved at that instant of such a run."""
+    from can_dbc.errors import InputError
+
+    at_s, end_s = arguments.save_at, loaded.scenario.duration_s
+    if not 0.0 <= at_s < end_s:
+        raise InputError(f"--save-at {at_s:g}: expected 0 to before the end, {end_s:g} s")
+    if arguments.transport != "inproc" or arguments.realtime:
+        raise InputError("--save-at: only of a run in one process; expected --transport inproc")
+
+
+def _continue(arguments: argparse.Namespace) -> int:
+    """Run a saved state to its end. Raises InputError for another file, and with a scenario or values."""
+    from can_dbc.errors import InputError
+    from sil.files.output_folder import prepare_folder
+    from sil.simulation.loop import load
+    from sil.simulation.runner import resume
+
+    given = (arguments.scenario, arguments.model, arguments.seed, arguments.save_at)
+    if any(value is not None for value in given) or arguments.settings or arguments.effects:
+        raise InputError("--from: with a scenario or other values; expected the saved state alone")
+    loop = load(arguments.state)
+    folder = prepare_folder(arguments.out, loop.loaded.scenario.name, arguments.force)
+    return _report(arguments, resume(loop, folder), folder)
+
+
+def _report(arguments: argparse.Namespace, finished: Finished, folder: Path) -> int:
+    """Write page and JUnit file, print the result; return the exit code."""
+    from sil.cli.run_summary import summary_lines
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import close_folders
+    from sil.simulation.results import as_json, junit_xml
+
     if not arguments.no_report and finished.result.complete:
         from sil.report.run_page import write_report
 
@@ -118,11 +172,6 @@ def run(arguments: argparse.Namespace) -> int:
         write_atomically(arguments.junit, junit_xml(finished.result))
     if finished.result.complete:
         close_folders(None)  # the mark INCOMPLETE goes before the files are listed
-    if free_running:
-        from sil.simulation.free_run import jitter_lines
-
-        for line in jitter_lines(finished.result.bus):
-            say(line)
     if arguments.json:
         print(as_json(finished.result))
     else:

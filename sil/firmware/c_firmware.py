@@ -6,13 +6,10 @@ must answer alike. Checked by: tests/unit/sil/firmware/test_c_firmware.py
 
 from __future__ import annotations
 
-import json
 from array import array
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
-
-import msgspec
+from typing import Any
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
@@ -23,20 +20,11 @@ from sil.coupling.transports.channel import ParticipantLost
 from sil.files.atomic import write_atomically
 from sil.firmware.compiler import compiled
 from sil.firmware.contract import MAX_ARRIVED, Step, received
-from sil.firmware.cost import COST, Cost
+from sil.firmware.cost import Cost, write_cost
 from sil.firmware.findings import FirmwareFailure
 from sil.firmware.wasm import Answer, Instance, Module, read_module
 
 SIGNALS = "firmware.csv"
-
-
-class State(NamedTuple):
-    """A saved state: next tick, ns; frames that wait for it; counters; memory of each build."""
-
-    tick_ns: int
-    pending: tuple[tuple[int, Frame], ...]
-    counts: tuple[int, int, bool]
-    memories: tuple[bytes, ...]
 
 
 class CController(TickingNode):
@@ -122,7 +110,7 @@ class CController(TickingNode):
         folder, self._folder = self._folder, None
         if folder is None:
             return
-        write_atomically(folder / COST, json.dumps(msgspec.to_builtins(self.cost())))
+        write_cost(self.cost(), folder)
         if self._signals:
             names = list(dict.fromkeys(name for _, values in self._signals for name in values))
             rows = [",".join(("time_s", *names))]
@@ -131,17 +119,16 @@ class CController(TickingNode):
                 rows.append(",".join((f"{now_ns / 1e9:.9f}", *row)))
             write_atomically(folder / SIGNALS, "\n".join(rows) + "\n")
 
-    def snapshot(self) -> State:
-        """Return the whole state."""
-        counts = (self._lost, self._steps, self._has_begun)
-        memories = tuple(instance.snapshot() for instance in self._instances)
-        return State(self._tick_ns, tuple(self._pending), counts, memories)
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        state["_instances"] = [instance.snapshot() for instance in self._instances]
+        return state
 
-    def restore(self, state: State) -> None:
-        """Continue from a state of the same firmware with the same settings."""
-        self._tick_ns, self._pending = state.tick_ns, list(state.pending)
-        self._lost, self._steps, self._has_begun = state.counts
-        for instance, memory in zip(self._instances, state.memories, strict=True):
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        settings = c_settings.content(self.config)
+        self._instances = [Instance(module, settings) for module in modules(self._path)]
+        for instance, memory in zip(self._instances, state["_instances"], strict=True):
             instance.restore(memory)
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import msgspec
+
+from sil.files.atomic import write_atomically
 
 COST = "firmware.json"
 """File in the folder of a run by which the control unit's process hands the record on."""
@@ -30,6 +33,11 @@ METRICS = {
     "firmware_instructions": "instructions of the worst step",
     "firmware_stack_bytes": "stack of the firmware",
 }
+
+
+def write_cost(cost: Cost, folder: Path) -> None:
+    """Write the record into the folder of a run."""
+    write_atomically(folder / COST, json.dumps(msgspec.to_builtins(cost)))
 
 
 def read_cost(folder: Path) -> Cost | None:

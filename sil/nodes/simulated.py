@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from can_dbc import messages
 from can_dbc.codec import can_id_of, spec_of
@@ -103,6 +104,12 @@ class _Load:
         return frames
 
 
+def drawn_id(draw: random.Random, priority: int) -> int:
+    """Draw an identifier of other traffic."""
+    source = 0x80 + draw.randrange(TRAFFIC_NODES)
+    return join_id(priority, 0xFE00 + draw.randrange(TRAFFIC_NODES), source)
+
+
 class TrafficNode(Node):
     """Sends frames of J1939 broadcast groups at random instants, seeded by the scenario.
 
@@ -114,11 +121,7 @@ class TrafficNode(Node):
 
     def __init__(self, load: float, priority: int, bitrate: int, seed: int) -> None:
         draw = random.Random(f"{seed}:traffic")
-
-        def can_id() -> int:
-            source = 0x80 + draw.randrange(TRAFFIC_NODES)
-            return join_id(priority, 0xFE00 + draw.randrange(TRAFFIC_NODES), source)
-
+        can_id = partial(drawn_id, draw, priority)
         self._load = _Load(load, TRAFFIC_WINDOW_NS, bitrate, draw, can_id)
         self._next_ns = 0
 
@@ -161,7 +164,7 @@ class _Intrusion:
         self._random = draw
         if isinstance(fault, Babbling):
             can_id = join_id(fault.priority, BABBLED_PGN, INTRUDER_SOURCE)
-            self._load = _Load(fault.load, INTRUDER_STEP_NS, bitrate, draw, lambda: can_id)
+            self._load = _Load(fault.load, INTRUDER_STEP_NS, bitrate, draw, partial(int, can_id))
 
     def released(self, begin_ns: int, deliveries: Received) -> Released:
         """Return the frames released in the step that begins at `begin_ns`."""

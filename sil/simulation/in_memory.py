@@ -18,20 +18,19 @@ import numpy as np
 from msgspec.structs import replace
 
 from can_dbc.messages import ControllerStatus
+from plant.trace import trace_columns
 from sil.coupling.bus import BusFrame
-from sil.coupling.clock import NS_PER_S, to_ns
-from sil.coupling.faults import FaultPlan
-from sil.coupling.lockstep import Lockstep
-from sil.coupling.transports.channel import InProcess
+from sil.coupling.clock import NS_PER_S
 from sil.files.html_table import html_table
 from sil.files.quantity import counted, quantity
 from sil.firmware.cost import Cost, cost_metrics
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
-from sil.recording.run_record import Floats, PlantEvent, RunRecord
+from sil.recording.run_record import Floats, RunRecord
 from sil.simulation import build, metrics
 from sil.simulation.circumstances import circumstances
 from sil.simulation.expectations import UNFINISHED, Observed, evaluate
 from sil.simulation.load_scenario import Loaded
+from sil.simulation.loop import Loop
 from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario, contradictions
 
@@ -126,61 +125,32 @@ class Run:
         return pandas.DataFrame(self.signals).set_index("time_s")
 
 
-class _TraceRows(list[np.ndarray]):
-    """The blocks of trace rows that the plant writes, each new."""
-
-    write = list.append
-
-
 def run_in_memory(loaded: Loaded) -> Run:
     """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
 
     Raises InputError if the scenario is not valid, RunError if a participant fails.
     """
-    from plant.node import PlantNode
-    from plant.trace import trace_columns
+    loop = Loop(loaded)
+    loop.finish()
+    return finished(loop)
 
-    scenario = loaded.scenario
-    trace, events = _TraceRows(), list[PlantEvent]()
 
-    def note(time_s: float, name: str, values: Mapping[str, Any]) -> None:
-        events.append(PlantEvent(time_s, name, dict(values)))
-
-    node = PlantNode(
-        build.plant_config(scenario),
-        loaded.parameters,
-        trace,
-        note,
-        trace_rows_at_once=1 << 14,  # they are read only after the run
-    )
-    participants = [
-        node if name == "plant" else build.make_participant(name, loaded, None)
-        for name in build.participant_names(scenario)
-    ]
-    plan = FaultPlan(scenario.fault, scenario.seed)
-    frames: list[BusFrame] = []
-    with Lockstep(
-        build.make_bus(scenario, plan),
-        [InProcess(participants, build.received())],
-        to_ns(scenario.duration_s),
-        record=frames.extend,
-        outages=plan if scenario.fault else None,
-        order=build.SENDERS,
-    ) as lockstep:
-        lockstep.run()
-    rows = np.concatenate(trace)
+def finished(loop: Loop) -> Run:
+    """Return the run of a loop that has come to its end."""
+    loaded, scenario = loop.loaded, loop.loaded.scenario
+    rows = np.concatenate(loop.trace)
     columns = trace_columns(scenario.plant.drive)
     record = RunRecord(
         truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(columns)},
-        events=events,
-        frames=frames,
+        events=loop.events,
+        frames=loop.frames,
         **build.constants(loaded),
     )
     shifts = metrics.shifts(record, build.gear_of(scenario.initial_gear))
-    balances = next((dict(e.values) for e in events if e.name == "balance"), {})
+    balances = next((dict(e.values) for e in loop.events if e.name == "balance"), {})
     switchings = metrics.valve_switchings(record)
-    figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, len(frames))
-    cost = build.firmware_cost(participants)
+    figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, len(loop.frames))
+    cost = build.firmware_cost(loop.participants)
     return Run(loaded, record, shifts, figures | cost_metrics(cost), balances, rows, cost)
 
 

@@ -15,6 +15,7 @@ import msgspec
 
 from can_dbc.errors import InputError, RunError, os_error_text
 from can_dbc.messages import Gear
+from plant.trace import trace_columns
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import to_ns, to_seconds
 from sil.coupling.faults import FaultPlan
@@ -22,7 +23,7 @@ from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.real_time import Pacer
 from sil.files.atomic import open_atomically, write_atomically
 from sil.files.progress import Progress
-from sil.firmware.cost import COST, cost_metrics, read_cost
+from sil.firmware.cost import COST, cost_metrics, read_cost, write_cost
 from sil.recording.end_to_end import EndToEnd
 from sil.recording.recorder import (
     BUS_FRAMES,
@@ -31,7 +32,9 @@ from sil.recording.recorder import (
     EVENTS,
     PLANT_TRACE,
     BusLog,
+    EventLog,
     FrameWriter,
+    TraceWriter,
     trace_sha256,
 )
 from sil.recording.run_reader import RunReader
@@ -43,6 +46,7 @@ from sil.simulation.bus_figures import bus_figures, overload, response_check
 from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import checks_of
 from sil.simulation.load_scenario import Loaded
+from sil.simulation.loop import Loop
 from sil.simulation.results import Check, Result, versions, write_result
 from sil.simulation.scenario import Scenario, contradictions, expanded
 
@@ -147,6 +151,40 @@ def run(
     if interrupt is not None:
         raise interrupt
     return finished
+
+
+def resume(loop: Loop, folder: Path) -> Finished:
+    """Run a saved loop to its end and write the whole run, as `run` would have.
+
+    Raises InputError and RunError as `run` does.
+    """
+    loaded, scenario = loop.loaded, loop.loaded.scenario
+    begun = time.perf_counter()
+    base = _begin(loaded, folder, "inproc")
+    summary: RunSummary | None = None
+    why: str | None = None
+    try:
+        summary = loop.finish()
+    except RunError as error:
+        why = str(error)
+    if (cost := build.firmware_cost(loop.participants)) is not None:
+        write_cost(cost, folder)
+    columns = trace_columns(scenario.plant.drive)
+    with (
+        BusLog(folder / BUS_LOG) as log,
+        FrameWriter(folder / BUS_FRAMES, SENDERS) as frames,
+        TraceWriter(folder / PLANT_TRACE, columns) as trace,
+        EventLog(folder / EVENTS) as events,
+    ):
+        log.record(loop.frames)
+        frames.record(loop.frames)
+        for rows in loop.trace:
+            trace.write(rows)
+        for event in loop.events:
+            events(event.time_s, event.name, event.values)
+    bus = bus_figures(scenario, loop.bus, loop.plan)
+    base = msgspec.structs.replace(base, warnings=[*contradictions(scenario), *overload(bus)])
+    return _judge(loaded, folder, base, why, log, bus, summary, begun)
 
 
 def _begin(loaded: Loaded, folder: Path, transport: str) -> Result:

@@ -31,10 +31,19 @@ def test_every_item_has_an_example() -> None:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, Any] = {
-        "np": np, "run": sil.run, "load": load, "simulate": simulate, "Gear": Gear,
-        "InputError": InputError, "RunError": RunError, "Firmware": Firmware, "Inputs": Inputs,
-        "FirmwareConfig": FirmwareConfig, "Calibration": Calibration,
-        "ShiftRequest": ShiftRequest, "StrokeConditions": StrokeConditions,
+        "np": np,
+        "run": sil.run,
+        "load": load,
+        "simulate": simulate,
+        "Gear": Gear,
+        "InputError": InputError,
+        "RunError": RunError,
+        "Firmware": Firmware,
+        "Inputs": Inputs,
+        "FirmwareConfig": FirmwareConfig,
+        "Calibration": Calibration,
+        "ShiftRequest": ShiftRequest,
+        "StrokeConditions": StrokeConditions,
         "LengthStroke": LengthStroke,
     }
     count = 0

@@ -1,0 +1,95 @@
+"""A run continued from its middle is the run that was never interrupted, bit by bit."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.cli import main
+from sil.simulation import loop
+from sil.simulation.in_memory import finished, run_in_memory
+from sil.simulation.load_scenario import Loaded, load, shipped
+from sil.simulation.loop import Loop
+from tests.faults.drawn import draw
+
+
+def continued_sha256(loaded: Loaded, *shares: float) -> str:
+    """The hash of a run that is saved and restored at shares of its duration."""
+    running = Loop(loaded)
+    for share in shares:
+        running.advance(share * loaded.scenario.duration_s)
+        state = running.snapshot()
+        running.advance((share + 0.01) * loaded.scenario.duration_s)  # what is left is not the same
+        running = Loop.restore(state)
+    running.finish()
+    return finished(running).trace_sha256
+
+
+@pytest.mark.parametrize("name", ["lab_n_b", "busy_bus", "late_valve_commands"])
+def test_a_restored_loop_goes_on_as_before(name: str) -> None:
+    loaded = load(name)
+    assert continued_sha256(loaded, 0.15, 0.4) == run_in_memory(loaded).trace_sha256
+
+
+def test_a_restored_firmware_in_c_goes_on_as_before() -> None:
+    pytest.importorskip("ziglang", reason="extra c")
+    loaded = load("strategy_synchro_brake", settings={"firmware": "c"})
+    assert continued_sha256(loaded, 0.3) == run_in_memory(loaded).trace_sha256
+
+
+@pytest.mark.slow
+def test_every_shipped_scenario_and_every_fault_goes_on_as_before() -> None:
+    for loaded in (*map(load, shipped()), *map(draw, range(120))):
+        assert continued_sha256(loaded, 0.2, 0.5) == run_in_memory(loaded).trace_sha256, loaded
+
+
+def test_the_command_saves_a_state_and_continues_it(tmp_path: Path) -> None:
+    out, state = tmp_path / "whole", tmp_path / "whole" / "state.opc4"
+    words = ["--no-report", "--json"]
+    assert main(["run", "lab_n_b", "--save-at", "0.12", "--out", str(out), *words]) == 0
+    assert main(["run", "--from", str(state), "--out", str(tmp_path / "rest"), *words]) == 0
+    whole, rest = (
+        json.loads((tmp_path / name / "result.json").read_text()) for name in ("whole", "rest")
+    )
+    for key in ("trace_sha256", "metrics", "expectations", "bus", "balances", "passed"):
+        assert whole[key] == rest[key], key
+    for name in ("bus.log", "trace.csv", "events.jsonl"):
+        assert (out / name).read_bytes() == (tmp_path / "rest" / name).read_bytes()
+
+
+def test_other_files_are_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "state.opc4"
+    loop.save(Loop(load("lab_n_b")), path)
+    content = path.read_bytes()
+    evil = pickle.dumps(print)
+    for bad, complaint in (
+        (content[:-9], "damaged"),
+        (b"{}\n" + content, "damaged"),
+        (b"nothing", "damaged"),
+    ):
+        path.write_bytes(bad)
+        with pytest.raises(InputError, match=complaint):
+            loop.load(path)
+    with pytest.raises(pickle.UnpicklingError, match=r"builtins\.print"):
+        Loop.restore(evil)
+    path.write_bytes(content)
+    monkeypatch.setattr(loop, "FORMAT", "opc4-state-2")
+    with pytest.raises(InputError, match="damaged, or not a state"):
+        loop.load(path)
+
+
+def test_a_state_of_another_version_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "state.opc4"
+    loop.save(Loop(load("lab_n_b")), path)
+    head, _, state = path.read_bytes().partition(b"\n")
+    table = json.loads(head)
+    table["made_by"]["sources_sha256"] = "0"
+    path.write_bytes(json.dumps(table).encode() + b"\n" + state)
+    with pytest.raises(InputError, match="made by another version"):
+        loop.load(path)
