@@ -129,7 +129,10 @@ def _method(owner: Any, name: str) -> Any:
 
 
 def save(loop: Loop, path: Path) -> None:
-    """Write a state: one line of JSON that says what made it, then the state."""
+    """Write a state: one line of JSON that says what made it, then the state.
+
+    Raises InputError for a firmware whose state cannot be saved.
+    """
     try:
         state = loop.snapshot()
     except TypeError:
