@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from plant.effects.term import TermForm
     from sil.inference.campaign.diagnosis import Diagnosis
     from sil.inference.campaign.next_experiment import NextExperiment
-    from sil.inference.campaign.observations import Channel
+    from sil.inference.campaign.observations import Channel, StrokeObservation
     from sil.inference.campaign.one_equation import Alone
     from sil.inference.report import Interval
 BEFORE, AFTER = "healthy model", "extended model"
@@ -61,7 +61,16 @@ def strokes_figure(result: Diagnosis) -> Figure:
 def _stroke(result: Diagnosis, k: int) -> Stack:
     entry = result.model.strokes[k].entry
     panels = list(_channels(result, k))
-    return Stack("time, ms", panels, f"{entry.label} ({entry.file})", width=5.0)
+    view = _view(result.model.strokes[k])
+    return Stack("time, ms", panels, f"{entry.label} ({entry.file})", limits=view, width=5.0)
+
+
+def _view(stroke: StrokeObservation) -> tuple[float, float]:
+    """Return what is drawn of a stroke, in ms: a record may begin seconds before its first command."""
+    first_s = min((at_s for at_s, _, _ in stroke.conditions.commands), default=0.0)
+    begin, end = float(stroke.time_s[0]), float(stroke.time_s[-1])
+    low = max(begin, first_s - 0.02)
+    return MS * (low if low < end else begin), MS * end
 
 
 def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
@@ -170,7 +179,7 @@ def next_figure(experiment: NextExperiment) -> Figure:
         series = [Series("difference", x, apart, "measured", width=0.8)]
         panels.append(Panel("apart", "sd", series, spans=[band], height=70, legend=False))
     title = experiment.strokes[0].entry.label
-    return Figure([Stack("time, ms", panels, title, width=12.0)])
+    return Figure([Stack("time, ms", panels, title, limits=_view(stroke), width=12.0)])
 
 
 def _title(channel: Channel) -> str:
