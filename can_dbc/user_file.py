@@ -87,7 +87,7 @@ def exits_raise() -> Iterator[None]:
             return _LEAVE(status)
         raise ProcessExit(f"os._exit({status})")
 
-    os._exit = exit_here  # type: ignore[assignment]
+    os._exit = exit_here
     try:
         yield
     finally:

@@ -246,7 +246,8 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     try:
         code: int = command.run(parsed)
         sys.stdout.flush()
-        _settle(name, None if code in (PASSED, FAILED) else "not finished")
+        for note in _settle(None if code in (PASSED, FAILED) else "not finished"):
+            print(f"opc4 {name}: {note}", file=sys.stderr)
         return code
     except InputError as error:
         message, code = str(error), BAD_INPUT
@@ -258,7 +259,7 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         message, code = "not enough memory", NOT_FINISHED
     except OSError as error:  # a full disk, for example
         if error.filename == _STDOUT:
-            _settle(name, "not finished")
+            _settle("not finished")
             return _unwritable(error)
         message, code = os_error_text(error), NOT_FINISHED
         if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
@@ -273,22 +274,22 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     if _interrupts:
         message, code = "interrupted", _interrupted_code()
     message = _shortened(message)
-    print(f"opc4 {name}: {message}", file=sys.stderr)
-    _settle(name, f"opc4 {name}: {message}")
+    notes = _settle(f"opc4 {name}: {message}")
+    print(f"opc4 {name}: {'; '.join([message, *notes])}", file=sys.stderr)
     if getattr(parsed, "json", False):
         print(json.dumps({"error": message, "exit_code": code}))
     return code
 
 
-def _settle(name: str, why: str | None) -> None:
-    """Mark what the command has written as complete, or with the reason why it is not."""
+def _settle(why: str | None) -> list[str]:
+    """Mark what the command has written as complete, or with the reason why it is not; return notes."""
     results = sys.modules.get("sil.files.output_folder")  # not loaded: nothing was begun
     if results is None:
-        return
+        return []
     from can_dbc.errors import os_error_text
 
     try:
-        for line in results.close_folders(why):
-            print(f"opc4 {name}: {line}", file=sys.stderr)
+        notes: list[str] = results.close_folders(why)
     except OSError as error:
-        print(f"opc4 {name}: {os_error_text(error)}", file=sys.stderr)
+        return [os_error_text(error)]
+    return notes

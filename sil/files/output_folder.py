@@ -147,19 +147,22 @@ def _close(folder: Path, why: str | None) -> list[str]:
         shutil.rmtree(previous, ignore_errors=True)
         return []
     files = [p for p in folder.iterdir() if p != previous]
+    messages = []
     if had_marker and files:
         write_atomically(marker, why + "\n")
+        messages = [f"{folder} holds what was done, marked {INCOMPLETE}"]
     if not previous.is_dir():
         if not files:
             folder.rmdir()
     elif RUN_FILES.intersection(p.name for p in files):
-        return [f"the previous run is in {previous}"]
+        return [*messages, f"the previous run is in {previous}"]
     else:
+        messages = []
         marker.unlink(missing_ok=True)
         for file in list(previous.iterdir()):
             os.replace(file, folder / file.name)
         previous.rmdir()
-    return []
+    return messages
 
 
 def _mark_incomplete(folder: Path) -> None:
@@ -239,9 +242,11 @@ def _empty(folder: Path, force: bool) -> None:
     except OSError as error:
         raise _unusable(folder, error) from None
     if run_files and not force:
-        raise InputError(
-            f"{folder}: --out: holds another run ({run_files[0]}); expected an empty folder, or --force"
-        )
+        what = f"another run ({run_files[0]})"
+        if INCOMPLETE in run_files:
+            why = (folder / INCOMPLETE).read_text(encoding="utf-8", errors="replace").strip()
+            what = f"another run, not complete ({why})"
+        raise InputError(f"{folder}: --out: holds {what}; expected an empty folder, or --force")
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: --out: no permission; expected a folder to write in")
     if run_files:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,6 +43,7 @@ View = tuple[float, float]
 
 def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = 110) -> bytes:
     """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it only takes longer
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG

@@ -205,7 +205,12 @@ def test_a_signal_ends_a_run_and_leaves_nothing_behind(
     process.send_signal(number)
     _, lines = process.communicate(timeout=20.0)
     assert process.returncode == 128 + number and "Traceback" not in lines
-    assert lines.splitlines()[-1] == "opc4 run: interrupted"
+    marked = "opc4 run: interrupted; out holds what was done, marked INCOMPLETE"
+    assert lines.splitlines()[-1] == marked
+    again = started(command, tmp_path)
+    _, lines = again.communicate(timeout=60.0)
+    assert again.returncode == 2 and lines.count("\n") == 1
+    assert "another run, not complete (opc4 run: interrupted)" in lines
     assert not list((runtime / "opc4").iterdir())
     assert not any(Path(f"/proc/{pid}").exists() for pid in children)
     assert state(tmp_path / "out") == "opc4 run: interrupted"
