@@ -7,7 +7,6 @@ ones put together. What a sender reports as not available (all bits set, SAE J19
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import os
 from collections import Counter
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Unpack
 from can_dbc.dbc import load_dbc
 from can_dbc.errors import InputError
 from can_dbc.frame import split_id
+from sil.files.extras import import_extra
 from sil.files.quantity import counted
 from sil.j1939.layout import MessageLayout, is_unavailable
 from sil.j1939.mapping import ANY_SOURCE
@@ -209,14 +209,8 @@ def _csv(path: str, file: BinaryIO) -> Iterator[_Take]:
 
 @contextmanager
 def _parquet(path: str, file: BinaryIO) -> Iterator[_Take]:
-    try:
-        arrow = importlib.import_module("pyarrow")
-        importlib.import_module("pyarrow.parquet")
-    except ImportError:
-        raise InputError(
-            f"{path}: parquet needs pyarrow, which is not installed; expected it after: "
-            "pip install pyarrow (or OUT .csv or .mf4)"
-        ) from None
+    arrow = import_extra("pyarrow", "lab", f"{path}: parquet")
+    import_extra("pyarrow.parquet", "lab", f"{path}: parquet")
     text = arrow.dictionary(arrow.int32(), arrow.string())
     kinds = (arrow.int64(), text, text, arrow.int16(), text, arrow.float64(), text, text)
     schema = arrow.schema(list(zip(("time_ns", *COLUMNS[1:]), kinds, strict=True)))

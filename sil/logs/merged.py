@@ -7,8 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush, heapreplace
-from itertools import chain, count
-from operator import itemgetter
+from itertools import chain, islice
 from typing import Any, TypedDict, Unpack
 
 from can_dbc.errors import InputError
@@ -43,21 +42,6 @@ class _Part:
         if not offset_ns:
             return blocks
         return ([frame._replace(time_ns=frame[0] + offset_ns) for frame in b] for b in blocks)
-
-
-@dataclass
-class _Open:
-    """A file under way: the rest of its block, and its further blocks."""
-
-    rest: Iterator[LogFrame]
-    blocks: Iterator[list[LogFrame]]
-
-    def next(self) -> LogFrame | None:
-        """Return the next frame, None after the last one."""
-        for frame in self.rest:
-            return frame
-        self.rest = iter(next(self.blocks, ()))
-        return next(self.rest, None)
 
 
 class Logs:
@@ -132,35 +116,38 @@ class Logs:
         self._ready = True
 
     def _in_order(self) -> Iterator[list[LogFrame]]:
+        """Yield the frames of all files by time; a file is opened when its first frame is due."""
         self._prepare()
         self.repeated = 0
-        waiting = deque(self._parts)
-        numbers = count()
-        files: list[tuple[int, int, LogFrame, _Open]] = []
+        waiting = deque(enumerate(self._parts))
+        files: list[tuple[int, int, LogFrame, Iterator[LogFrame]]] = []
+        block: list[LogFrame] = []
         at_once: dict[LogFrame, int] = {}
         instant_ns = -MAX_TIME_NS
         while waiting or files:
-            while waiting and (not files or waiting[0].first_ns <= files[0][0]):
-                file = _Open(iter(()), waiting.popleft().blocks())
-                if (frame := file.next()) is not None:
-                    heappush(files, (frame.time_ns, next(numbers), frame, file))
-            if len(files) == 1:
-                yield from _alone(files, waiting[0].first_ns if waiting else 2 * MAX_TIME_NS)
-                continue
+            while waiting and (not files or waiting[0][1].first_ns <= files[0][0]):
+                number, part = waiting.popleft()
+                frames: Iterator[LogFrame] = chain.from_iterable(part.blocks())
+                for frame in islice(frames, 1):
+                    heappush(files, (frame.time_ns, number, frame, frames))
             if not files:
                 continue
-            time_ns, number, frame, file = files[0]
+            time_ns, number, frame, frames = files[0]
             if time_ns != instant_ns:
                 at_once, instant_ns = {}, time_ns
             if at_once.setdefault(frame, number) == number:
-                yield [frame]
+                block.append(frame)
             else:
                 self.repeated += 1
-            following = file.next()
+            if len(block) == 512:
+                yield block
+                block = []
+            following = next(frames, None)
             if following is None:
                 heappop(files)
             else:
-                heapreplace(files, (following[0], number, following, file))
+                heapreplace(files, (following[0], number, following, frames))
+        yield block
 
     def _file_lines(self) -> Iterator[str]:
         end_ns: int | None = None
@@ -189,22 +176,6 @@ class Logs:
                 passed = sum(reader.passed_bytes for reader in readers)
                 progress(passed / 1e6, sum(r.size for r in readers) / 1e6)
                 yield block
-
-
-def _alone(files: list[tuple[int, int, LogFrame, _Open]], next_ns: int) -> Iterator[list[LogFrame]]:
-    """Yield the frames of the only file under way up to when the next one begins."""
-    _, number, frame, file = files.pop()
-    block = [frame, *file.rest]
-    while block:
-        if max(map(itemgetter(0), block)) < next_ns:
-            yield block
-            block = next(file.blocks, [])
-            continue
-        end = next(n for n, frame in enumerate(block) if frame[0] >= next_ns)
-        yield block[:end]
-        file.rest = iter(block[end + 1 :])
-        files.append((block[end][0], number, block[end], file))
-        return
 
 
 class Reading(TypedDict, total=False):
