@@ -22,11 +22,15 @@ Floats = NDArray[np.float64]
 
 @dataclass
 class Channels:
-    """Channels of a file as they come: values [n], instants [n] in s and units, if they are stored."""
+    """Channels of a file as they come: values [n], instants [n] in s and units, if they are stored.
+
+    left_out: those that are no series of numbers.
+    """
 
     values: dict[str, Floats] = field(default_factory=dict)
     times: dict[str, Floats] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: Any, time_s: Any = None, unit: Any = "") -> None:
         """Add a channel of numbers or dates; others are left out, tables become one channel a column.
@@ -37,6 +41,7 @@ class Channels:
         if array.dtype.kind == "M":
             array = (array - array[:1]) / np.timedelta64(1, "s")
         if array.dtype.kind not in "biuf" or array.size < 1 or array.ndim > 2:
+            self.left_out.append(name)
             return
         array = np.squeeze(array).astype(np.float64)
         if array.ndim == 2:
@@ -49,6 +54,8 @@ class Channels:
         unit = unit if isinstance(unit, str) else ""
         if name in self.values and unit != self.units.get(name, ""):
             name = f"{name} [{unit or 'no unit'}]"
+        same = sum(each == name or each.startswith(f"{name} (") for each in self.values)
+        name = f"{name} ({same + 1})" if name in self.values else name
         if unit:
             self.units[name] = unit
         self.values[name] = np.atleast_1d(array)
@@ -72,7 +79,7 @@ class Channels:
             None,
         )
         columns = {} if base is None or "time_s" in self.values else {"time_s": base}
-        moved = []
+        moved, left_out = [], list(self.left_out)
         for name, values in self.values.items():
             if len(values) == longest and (
                 name not in self.times or base is None or np.array_equal(self.times[name], base)
@@ -83,7 +90,10 @@ class Channels:
             elif base is not None and name in self.times:
                 columns[name] = np.interp(base, self.times[name], values)
                 moved.append(name)
-        return columns, f"interpolated to the fastest channel: {', '.join(moved)}" if moved else ""
+            else:
+                left_out.append(name)
+        notes = (("interpolated to the fastest channel", moved), ("left out", left_out))
+        return columns, ", ".join(f"{what}: {', '.join(names)}" for what, names in notes if names)
 
 
 def _mat(path: Path) -> Channels:

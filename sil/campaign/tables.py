@@ -72,6 +72,8 @@ def read_columns(
     layout = _layout(path, lines)
     sign = DELIMITERS[layout.delimiter]
     rows = [[cell.strip() for cell in _split(line, sign)] for line in lines[layout.first :]]
+    if all(len(row) == len(layout.names) + 1 and not row[-1] for row in rows):
+        rows = [row[:-1] for row in rows]  # each ends in a delimiter, the header does not
     _check_widths(path, rows, layout, whole=raw.endswith((b"\n", b"\r")))
     decimal = _decimal_of(path, rows, layout, decimal)
     columns, notes = _columns(path, rows, layout, decimal)
@@ -133,6 +135,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     sign = DELIMITERS[name]
     width = len(_split(lines[first], sign))
     above = [[c.strip() for c in _split(line.lstrip("#% "), sign)] for line in lines[:first]]
+    if first and len(above[-1]) == width - 1 and not _split(lines[first], sign)[-1].strip():
+        width -= 1
     same = [k for k, cells in enumerate(above) if len(cells) == width]
     # rows of the table above the first one in which every cell is a number
     while same and same[-1] == first - 1 and any(map(_numeric, above[first - 1])):

@@ -145,8 +145,8 @@ class Decoder:
             message = self._groups.get(pgn)
         if message is None:
             name = f"{frame.can_id:0{8 if frame.extended else 3}X}" if pgn is None else f"PGN {pgn}"
-            if len(self._report.unknown) < 100_000 or name in self._report.unknown:
-                self._report.unknown[name] += 1
+            known = len(self._report.unknown) < 100_000 or name in self._report.unknown
+            self._report.unknown[name if known else "others"] += 1
             return None
         return self._signals(message, frame, source, data)
 

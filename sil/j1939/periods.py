@@ -90,7 +90,7 @@ def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
         message = messages.get(key)
         if message is None:
             if len(messages) >= 4_000:
-                continue
+                raise InputError(f"{log}: over 4000 messages; expected a bus, which has fewer")
             message = messages[key] = MeasuredMessage(*key)
         message.take(frame)
     if len(channels) > 1:

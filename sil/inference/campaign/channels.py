@@ -86,7 +86,7 @@ def _recognised(name: str, values: Floats, stored: str, chambers: str) -> Channe
     unit = stored or unit_of(name)
     if OWN.fullmatch(name):
         scale = SCALES[unit][1] if unit in SCALES else 1.0
-        return Channel(name, unit, name, scale)
+        return Channel(name, unit or "SI", name, scale)
     ours = SCALES[unit][0] if unit in SCALES else ""
     if not ours:
         word = bare.removesuffix(f"_{unit}")

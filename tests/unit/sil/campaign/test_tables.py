@@ -152,7 +152,7 @@ def test_matlab_files_are_read(tmp_path: Path) -> None:
     file = tmp_path / "a.mat"
     savemat(file, {"s": {"t": TIME, "x": POSITION}, "gain": 3.0, "note": "text"})
     record = read_record(file, {"time_s": ColumnMap("s.t"), "f": ColumnMap("'s.x' * gain")})
-    assert record.dialect == "MAT" and record["f"] == pytest.approx(3.0 * POSITION)
+    assert record.dialect == "MAT, left out: note" and record["f"] == pytest.approx(3.0 * POSITION)
     file.write_bytes(b"no such thing")
     with pytest.raises(
         InputError, match=r"a\.mat: .*; expected a MAT file|a\.mat: .*; expected a whole MAT"
@@ -301,6 +301,10 @@ def test_channels_of_one_name_and_other_units_are_both_there() -> None:
     for unit in ("mm", "V", ""):
         channels.add("x", np.arange(3.0), unit=unit)
     assert list(channels.values) == ["x", "x [V]", "x [no unit]"]
+    channels.add("x", np.arange(3.0), unit="mm")  # of another group
+    channels.add("text", np.array(["a"]))
+    assert list(channels.values)[-1] == "x (2)"
+    assert channels.table(Path("a.tdms"))[1] == "left out: text"
     assert channels.units == {"x": "mm", "x [V]": "V"}
 
 
