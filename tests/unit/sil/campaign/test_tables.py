@@ -301,11 +301,11 @@ def test_channels_of_one_name_and_other_units_are_both_there() -> None:
     for unit in ("mm", "V", ""):
         channels.add("x", np.arange(3.0), unit=unit)
     assert list(channels.values) == ["x", "x [V]", "x [no unit]"]
+    assert channels.units == {"x": "mm", "x [V]": "V"}
     channels.add("x", np.arange(3.0), unit="mm")  # of another group
     channels.add("text", np.array(["a"]))
     assert list(channels.values)[-1] == "x (2)"
     assert channels.table(Path("a.tdms"))[1] == "left out: text"
-    assert channels.units == {"x": "mm", "x [V]": "V"}
 
 
 @pytest.mark.parametrize("odd", ["", "2024-01-01 12:00:01+01:00"])
