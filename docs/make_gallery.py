@@ -53,6 +53,12 @@ ENTRIES = (
         "Frames lost on the bus, and how the firmware copes.",
     ),
     Entry(
+        "compare",
+        "opc4 compare truck lost_frames --out compare",
+        "compare/compare.png",
+        "Two runs over each other from the request on: another load, and lost frames.",
+    ),
+    Entry(
         "replay",
         "opc4 replay full_shift/bus.log --set controller.filter=false --out replay",
         "replay/scene_1.png",

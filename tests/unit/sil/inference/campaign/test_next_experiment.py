@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from plant.parameters import load
 from sil.campaign.campaign import ColumnMap, Recorder, campaign_toml, joined, load_campaign
 from sil.inference.campaign.designs import described, designs, imagined
 from sil.inference.campaign.diagnosis import available
+from sil.inference.campaign.figures import next_figure
 from sil.inference.campaign.model import CampaignModel
 from sil.inference.campaign.next_experiment import (
     MOST,
@@ -114,6 +116,23 @@ def test_one_supply_is_varied_downwards(tmp_path) -> None:
     low, high = sorted(supplies)
     assert high == 9e5
     assert low - 101325.0 == pytest.approx(2.0 / 3.0 * (high - 101325.0))
+
+
+def test_the_figure_begins_just_before_the_first_command(clean_model) -> None:
+    late = [e for e in designs(clean_model.strokes, "next") if e.conditions.commands[0][0] > 2.0]
+    (stroke,) = imagined(late[:1], clean_model.strokes, load(), 1e4)
+    numbers = np.zeros(stroke.total)
+    entry = SimpleNamespace(entry=late[0])
+    experiment = SimpleNamespace(
+        shown=stroke, predicted={"a": numbers, "b": numbers + 1.0}, strokes=[entry]
+    )
+    (stack,) = next_figure(experiment).stacks
+    low_ms, high_ms = stack.limits
+    assert low_ms == pytest.approx(1e3 * late[0].conditions.commands[0][0] - 20.0)
+    assert low_ms < high_ms == 1e3 * stroke.time_s[-1]
+    titles = [panel.title for panel in stack.panels if panel.title != "apart"]
+    assert titles[0] == "position"
+    assert titles[1:] and all(title.endswith(", absolute") for title in titles[1:])
 
 
 def test_a_stroke_that_does_not_arrive_is_not_proposed(clean_model) -> None:
