@@ -66,6 +66,13 @@ def test_the_readme_is_one_page() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 800
 
 
+def test_the_readme_links_every_guide_and_the_glossary() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    pages = [*(ROOT / "docs" / "how-to").glob("*.md"), ROOT / "docs" / "reference" / "glossary.md"]
+    missing = [page.name for page in pages if f"({page.relative_to(ROOT)})" not in text]
+    assert len(pages) > 15 and missing == []
+
+
 GENERATED = ("cli", "can", "keys", "firmware", "python")
 LIMITS = {"docs/how-to": 720, "docs/explanation": 1500}
 """Most words of a page, by folder."""
