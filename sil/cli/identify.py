@@ -48,24 +48,20 @@ def run(arguments: argparse.Namespace) -> int:
             "what": result.what,
             "out": str(folder),
             "estimates": [asdict(item) for item in result.estimates],
-            "by_thesis": [asdict(item) for item in result.by_thesis],
             "notes": list(result.notes),
             "fits": result.fits,
             "over_noise": result.over_noise,
         }
         print(json.dumps(finite(table)))
         return 0 if result.fits else 1
-    for title, items in (("", result.estimates), ("the thesis's way:", result.by_thesis)):
-        if title and items:
-            print(title)
-        for item in items:
-            if isinstance(item.value, tuple):
-                shown = "[" + ", ".join(f"{v:.4g}" for v in item.value) + "]"
-            else:
-                shown = f"{item.value:.5g}"
-                if item.low is not None and item.high is not None:
-                    shown += f"  ({item.low:.5g} to {item.high:.5g})"
-            print(f"{item.path:24} {shown} {parameters[item.path].unit}")
+    for item in result.estimates:
+        if isinstance(item.value, tuple):
+            shown = "[" + ", ".join(f"{v:.4g}" for v in item.value) + "]"
+        else:
+            shown = f"{item.value:.5g}"
+            if item.low is not None and item.high is not None:
+                shown += f"  ({item.low:.5g} to {item.high:.5g})"
+        print(f"{item.path:24} {shown} {parameters[item.path].unit}")
     for line in (*result.notes, result.judgement):
         print(line)
     print(f"model file and picture in {folder}")

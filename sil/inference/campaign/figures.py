@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sil.campaign.campaign import Floats
 from sil.inference.campaign.model import channel_parts
 from sil.inference.campaign.phases import PHASES
 from sil.inference.campaign.residuals import Shown
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from sil.inference.campaign.diagnosis import Diagnosis
     from sil.inference.campaign.next_experiment import NextExperiment
     from sil.inference.campaign.observations import Channel, StrokeObservation
-    from sil.inference.campaign.one_equation import Alone
     from sil.inference.report import Interval
 BEFORE, AFTER = "healthy model", "extended model"
 UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
@@ -116,29 +114,6 @@ def phases_figure(before: Shown, after: Shown) -> Figure:
         )
         stacks.append(Stack("phase", [panel], title, ticks=ticks, width=6.5))
     return Figure(stacks)
-
-
-def equations_figure(result: Diagnosis, k: int, before: Alone, after: Alone) -> Figure:
-    """Return the residuals of the force balance and of each chamber alone, before and after."""
-    ms = MS * before.time_s
-    panels = []
-
-    def add(title: str, unit: str, one: Floats, two: Floats) -> None:
-        lines = [
-            Series("given model", ms, one, "before", width=0.9),
-            Series(AFTER, ms, two, "after", width=0.9),
-        ]
-        panels.append(Panel(title, unit, lines, rules=[Rule(0.0, axis="y")], height=120))
-
-    if before.position_m is not None and after.position_m is not None:
-        add("force balance: position", "mm", MM * before.position_m, MM * after.position_m)
-    for name, values in before.pressures_pa.items():
-        if name in after.pressures_pa:
-            other = after.pressures_pa[name]
-            add(f"chamber {name}: pressure", "bar", BAR * values, BAR * other)
-    entry = result.model.strokes[k].entry
-    title = f"{entry.label} ({entry.file}): measured - predicted"
-    return Figure([Stack("time, ms", panels, title, width=12.0)])
 
 
 def term_figure(form: TermForm, nodes: Sequence[Interval]) -> Figure:

@@ -5,29 +5,23 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from plant.effects import look_alikes
 from plant.effects.user_file import MARK, loaded_effects
 from sil.campaign.campaign import campaign_toml
 from sil.files.atomic import write_atomically
 from sil.files.quantity import noun
-from sil.inference.campaign.consequence import consequence
 from sil.inference.campaign.diagnosis import FALSE_ALARM_BASIS, Diagnosis
 from sil.inference.campaign.figures import (
-    equations_figure,
     next_figure,
     phases_figure,
     strokes_figure,
     term_figure,
-    worst,
 )
 from sil.inference.campaign.next_experiment import next_campaign
-from sil.inference.campaign.one_equation import Alone, alone
 from sil.inference.campaign.residuals import show
 from sil.inference.campaign.terms import form_of
 from sil.inference.refused import Tried
@@ -49,12 +43,6 @@ PICTURES = {
         "Standardised residuals by channel and phase",
         "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
         "stroke: the healthy model, and the extended one.",
-    ),
-    "equations": (
-        "Residuals one equation at a time",
-        "One equation at a time: measured pressures into the stay's force balance, measured position "
-        "into each chamber's mass balance. What goes wrong in one of them alone is in that equation. "
-        "Orange: the given model without tolerances. The fixed rig's chambers begin vented here.",
     ),
     "next": (
         "The stroke that tells most",
@@ -94,9 +82,6 @@ def write_report(
     before, after = show(result.model, result.healthy), show(result.model, result.final)
     strokes = strokes_figure(result)
     figures = {"strokes": strokes, "phases": phases_figure(before, after)}
-    equations = _equations(result)
-    if equations is not None:
-        figures["equations"] = equations_figure(result, *equations)
     terms = {c.name: c for c in result.final.candidates if c.is_term}
     for cause in result.causes:
         candidate = terms.get(f"{cause.id}:{cause.variant}")
@@ -110,9 +95,6 @@ def write_report(
     for name, image in zip(figures, images, strict=True):
         alt, caption = PICTURES[name]
         pictures[name] = Picture(image, alt, caption.format(where=where))
-    loop = None
-    if result.extended is not None:
-        loop = consequence(model, folder / "extended_model.toml")
     kind = result.verdict.kind
     head = Head(
         command="diagnose",
@@ -129,14 +111,12 @@ def write_report(
         result=result,
         causes=[(c, _parameter_lines(c), _look_alikes(c, result)) for c in result.causes],
         pictures=pictures,
-        alone=[] if equations is None else _rms_rows(*equations[1:]),
         judged=[
             (item, _fitted_values(item), result.refusals.get(item.name, Tried(item.ids)))
             for item in result.judged[:12]
         ],
         before=before,
         after=after,
-        changed=loop,
         in_unit=_in_unit,
         false_alarm=f"False alarms, level aimed at: {FALSE_ALARM_LEVEL:.0%}; {FALSE_ALARM_BASIS}",
     )
@@ -144,7 +124,6 @@ def write_report(
     return {
         "explanations": [_explanation(item, result) for item in result.judged],
         "residuals": {"before": asdict(before), "after": asdict(after)},
-        "loop": None if loop is None else asdict(loop),
     }
 
 
@@ -164,33 +143,6 @@ def _explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
         "refused": counts.refused,
         "parameters": {candidate.name: dict(values) for candidate, values in pairs},
     }
-
-
-def _equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
-    """Return the stroke fitted worst, one equation at a time, before and after; None without channels.
-
-    Before is the given model itself, without tolerances: fitted, those would spread what
-    is wrong over all equations.
-    """
-    final = result.final
-    first, last = len(result.model.unit), result.healthy.layout.healthy
-    shared = np.zeros_like(result.healthy.shared)
-    shared[first:last] = final.shared[first:last]
-    plain = replace(result.healthy, shared=shared, stroke=np.zeros_like(result.healthy.stroke))
-    for k in worst(result):
-        before, after = alone(result.model, plain, k), alone(result.model, final, k)
-        if before.rms() and before.rms().keys() == after.rms().keys():
-            return k, before, after
-    return None
-
-
-def _rms_rows(before: Alone, after: Alone) -> list[tuple[str, str, str]]:
-    """Return rms by equation, before and after."""
-    units = {name: "_pa" if name.startswith("mass") else "_m" for name in before.rms()}
-    return [
-        (name, _in_unit(units[name], value), _in_unit(units[name], after.rms()[name]))
-        for name, value in before.rms().items()
-    ]
 
 
 def _look_alikes(cause: Cause, result: Diagnosis) -> str:

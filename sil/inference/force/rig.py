@@ -25,7 +25,6 @@ from sil.inference.force.fit import (
     Tried,
     gain_in_errors,
 )
-from sil.inference.force.gas import enclosed_gas
 from sil.inference.force.record import Recorded, read_motion
 from sil.inference.force.result import DESCRIBED, ForceDiagnosis
 from sil.inference.force.terms import difference
@@ -54,7 +53,6 @@ def diagnose_motion(record: Recorded) -> ForceDiagnosis:
     smooth = bank.add_smooth()
     doubts = (*record.doubts, *_doubts(bank, plain, delay))
     rest = ("", "", 0.0)
-    doubts = tuple(filter(None, (*doubts, enclosed_gas(bank, leader))))
     verdict = choice.verdict
     if leader.whole.beyond > 0.0:
         rest = _described(bank, leader, smooth)

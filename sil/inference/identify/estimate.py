@@ -32,8 +32,7 @@ class Estimate:
 class Identified:
     """The outcome of one identification.
 
-    over_noise: rms of the residual over the expected noise, 1 = explained; by_thesis: estimates by the
-    thesis's method. Where the model does not fit, no interval is stated: it would hold only if the
+    over_noise: rms of the residual over the expected noise, 1 = explained. Where the model does not fit, no interval is stated: it would hold only if the
     model were right.
     """
 
@@ -42,13 +41,11 @@ class Identified:
     notes: tuple[str, ...]
     figure: Figure
     over_noise: float
-    by_thesis: tuple[Estimate, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.fits:
-            for name in ("estimates", "by_thesis"):
-                withheld = tuple(replace(e, low=None, high=None) for e in getattr(self, name))
-                object.__setattr__(self, name, withheld)
+            withheld = tuple(replace(e, low=None, high=None) for e in self.estimates)
+            object.__setattr__(self, "estimates", withheld)
 
     @property
     def fits(self) -> bool:
