@@ -219,31 +219,31 @@ def _decimal_of(
 
     Raises InputError for a number with another sign than the others, `Undecided` if all may be either.
     """
-    proof: dict[Decimal, tuple[int, str]] = {}
-    either: tuple[int, str] | None = None
-    for number, row in enumerate(rows, layout.first + 1):
-        for cell in row:
-            if "." not in cell and "," not in cell:
-                continue
-            dot, comma = (bool(STYLES[sign].fullmatch(cell)) for sign in (".", ","))
-            if dot and comma:
-                either = either or (number, cell)
-            elif dot or comma:
-                proof.setdefault("." if dot else ",", (number, cell))
-    lines = sorted(proof.values())
-    if len(lines) == 2 or (stated and proof.keys() - {stated}):
-        number, cell = lines[-1]
-        one = f"{lines[0][1]} in line {lines[0][0]}" if len(lines) == 2 else f"decimal = {stated!r}"
+    cells = {cell for row in rows for cell in row if "." in cell or "," in cell}
+    dots, commas = (set(filter(STYLES[sign].fullmatch, cells)) for sign in (".", ","))
+    proofs: dict[Decimal, set[str]] = {".": dots - commas, ",": commas - dots}
+
+    def first(of: set[str]) -> tuple[int, str]:
+        found = ((k, cell) for k, row in enumerate(rows, layout.first + 1) for cell in row)
+        return next((k, cell) for k, cell in found if cell in of)
+
+    shown = [sign for sign, proof in proofs.items() if proof]
+    if len(shown) == 2 or (stated and set(shown) - {stated}):
+        *earlier, (number, cell) = sorted(first(proofs[sign]) for sign in shown)
+        one = f"{earlier[0][1]} in line {earlier[0][0]}" if earlier else f"decimal = {stated!r}"
         raise InputError(
             f"{path}: line {number}: {cell!r} has another decimal sign than {one}; expected one in a file"
         )
-    if proof or stated:
-        return next(iter(proof), stated or ".")
-    if either and (layout.delimiter != "comma" or "," in either[1]):
-        one, thousand = re.sub("[.,]", ".", either[1]), re.sub("[.,]", "", either[1])
+    if shown or stated:
+        return stated or shown[0]
+    if cells and layout.delimiter == "comma" and not any("," in cell for cell in cells):
+        return "."
+    if either := dots & commas:
+        number, cell = first(either)
+        one, thousand = re.sub("[.,]", ".", cell), re.sub("[.,]", "", cell)
         raise Undecided(
-            f"{path}: line {either[0]}: {either[1]!r} may be {float(one):g} or {thousand}, and no number of "
-            'the file tells which; expected decimal = "." or "," in campaign.toml'
+            f"{path}: line {number}: {cell!r} may be {float(one):g} or {thousand}, and no number of the file "
+            'tells which; expected decimal = "." or "," in campaign.toml'
         )
     return "."
 
@@ -262,7 +262,8 @@ def _columns(
     style, group = STYLES[decimal], "," if decimal == "." else "."
     for name, cells in zip(layout.names, zip(*rows, strict=True), strict=True):
         filled = [k for k, cell in enumerate(cells) if cell]
-        if not any(map(style.fullmatch, cells)):
+        others = {cell for cell in set(cells) if not style.fullmatch(cell)}
+        if len(others) == len(set(cells)):
             moments = [_moment(cell) for cell in cells]
             if not any(moments):
                 left_out.append(name or "without a name")
@@ -280,13 +281,15 @@ def _columns(
             notes.append(f"{name} in seconds from {cells[0]}")
             continue
         plain = _slower(filled, len(cells))
-        for k, cell in enumerate(cells):
-            if (cell or not plain) and not style.fullmatch(cell):
-                raise InputError(
-                    f"{path}: line {layout.first + k + 1}: {cell[:30]!r} is not a number; expected one"
-                )
-        texts = [cells[k].replace(group, "").replace(decimal, ".") for k in filled]
-        values = np.array([float(re.sub("[dD]", "e", t) if "d" in t.lower() else t) for t in texts])
+        if plain:
+            others.discard("")
+        if others:
+            k = next(k for k, cell in enumerate(cells) if cell in others)
+            raise InputError(
+                f"{path}: line {layout.first + k + 1}: {cells[k][:30]!r} is not a number; expected one"
+            )
+        text = "\n".join(cells[k] for k in filled).replace(group, "").replace(decimal, ".")
+        values = np.array(text.replace("d", "e").replace("D", "e").split("\n"), dtype=np.float64)
         if not np.all(np.isfinite(values)):
             k = filled[int(np.argmin(np.isfinite(values)))]
             raise InputError(

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs.format import Batch, Format, TextReader, time_base
+from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
 from sil.logs.frame import DLC_LENGTHS, LogFrame
 from sil.logs.report import LogReport, printable
 from sil.logs.source import ByteSource, Line
@@ -180,6 +180,8 @@ class CsvReader(TextReader):
         if self._dialect is None:
             self._dialect = self._header(line.text)
             return None
+        if line.text[0] in '"tT' and _dialect(line.text) is self._dialect:
+            raise NotAFrame("header of a further part")
         if line.unterminated and self._dialect.spread and line.text[-2:-1] == ",":
             raise ValueError("the last line has no end and may be cut short")
         return self._frame(self._dialect, line.text)

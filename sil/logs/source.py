@@ -46,9 +46,6 @@ class ByteSource:
         self.path = path
         self._report = report
         self._unpacked = 0
-        self.share: float | None = None
-        """How much of the file was read, if its reader does not read it in order."""
-
         refuse_special(path, "a log file, or - for standard input")
         try:
             self.file: BinaryIO = open(copy or path, "rb")  # noqa: SIM115 closed by close()
@@ -101,9 +98,9 @@ class ByteSource:
         return InputError(f"{self.path}: {error.strerror}; expected a readable log file")
 
     @property
-    def passed_bytes(self) -> float:
+    def passed_bytes(self) -> int:
         """How many bytes of the file were read so far."""
-        return self.file.tell() if self.share is None else self.share * self.size
+        return self.file.tell()
 
     def close(self) -> None:
         """Close the file."""

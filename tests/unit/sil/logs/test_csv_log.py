@@ -123,3 +123,11 @@ def test_a_last_savvycan_row_without_end(last: str, kept: bool, tmp_path: Path) 
     reader = open_log(path)
     assert len(list(reader)) == 1 + kept
     assert reader.report.truncated is not kept
+
+
+def test_a_header_of_a_further_part_is_no_broken_line(tmp_path: Path) -> None:
+    text = (DATA / "savvycan.csv").read_text()
+    (tmp_path / "a.csv").write_text(text + text)
+    reader = open_log(tmp_path / "a.csv")
+    assert len(list(reader)) == 2 * len(list(open_log(DATA / "savvycan.csv")))
+    assert reader.report.other == {"header of a further part": 1} and not reader.report.skipped
