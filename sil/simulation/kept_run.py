@@ -21,6 +21,7 @@ from can_dbc.typed_toml import convert
 from can_dbc.user_file import read_user_file
 from sil.files.output_folder import RESULT
 from sil.recording.recorder import EVENTS
+from sil.recording.run_reader import event_of
 from sil.recording.run_record import Floats
 from sil.simulation.fault_marks import FaultSpan, fault_spans
 from sil.simulation.metrics import Shift
@@ -107,15 +108,12 @@ def _read_trace(path: Path) -> dict[str, Floats]:
 
 
 def _plant_events(path: Path) -> Iterator[tuple[float, str]]:
-    text = read_user_file(path, "the events of a run", MOST_BYTES).decode(errors="replace")
-    for number, line in enumerate(text.splitlines(), 1):
-        try:
-            event = json.loads(line)
-            at_s, name = float(event["time_s"]), str(event["name"])
-        except (ValueError, KeyError, TypeError):
-            raise InputError(f"{path}:{number}: no event; expected time_s and name") from None
-        if name != "balance":
-            yield at_s, name.replace("_", " ")
+    for number, line in enumerate(
+        read_user_file(path, "the events of a run", MOST_BYTES).splitlines(), 1
+    ):
+        event = event_of(line, f"{path}:{number}")
+        if event.name != "balance":
+            yield event.time_s, event.name.replace("_", " ")
 
 
 def _controller_events(trace: Mapping[str, Floats]) -> Iterator[tuple[float, str]]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sil.files.atomic import write_atomically
 from sil.files.quantity import noun
 from sil.report.picture import save
@@ -14,10 +12,8 @@ from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.studies import fault_table
 from sil.studies.baseline import shown_rows
-from sil.studies.figures import metric_of
 from sil.studies.kinds.runs import RunsStudy
 from sil.studies.study import Study, Table
-from sil.studies.table import read_metrics
 
 
 def write_page(
@@ -38,7 +34,6 @@ def write_page(
             (str(summary["rows"]), noun(summary["rows"], "row")),
             (str(len(entries)), noun(len(entries), "group")),
             (f"{100 * failed:.3g} %", "shift not done" if safety else "failed"),
-            *_ranges(study, table),
         ],
         again=again,
     )
@@ -66,17 +61,3 @@ def write_page(
         else "",
     )
     write_atomically(folder / "report.html", page)
-
-
-def _ranges(study: Study, table: Table) -> list[tuple[str, str]]:
-    """Return least and greatest of the metrics shown first."""
-    ranges = []
-    for name in read_metrics(study)[:2]:
-        values = table.numbers[name][~np.isnan(table.numbers[name])]
-        if len(values):
-            metric = metric_of(name)
-            ends = (metric.factor * values.min(), metric.factor * values.max())
-            least, greatest = (f"{float(f'{end:.3g}'):g}" for end in ends)  # 2430, not 2.43e+03
-            text = least if least == greatest else f"{least} to {greatest}"
-            ranges.append((text, metric.axis))
-    return ranges

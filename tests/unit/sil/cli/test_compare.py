@@ -73,7 +73,7 @@ def test_traces_are_aligned_at_the_request(folder: Path) -> None:
         ("result.json", "{", "not JSON; expected the result.json of a run"),
         ("result.json", '{"scenario_name": "x"}', "complete: missing; expected true or false"),
         ("trace.csv", "a,b\n1,2\n", "not a trace; expected the trace.csv of a run"),
-        ("events.jsonl", "5\n", "no event; expected time_s and name"),
+        ("events.jsonl", "5\n", "not an event; expected time_s, name and values"),
         ("trace.csv", None, "no such file; expected the trace of a run"),
     ],
 )
