@@ -193,7 +193,10 @@ class Search:
 
     # --- fits ---------------------------------------------------------------------------------
     def best_start(self, task: Task) -> tuple[float, Floats, Floats] | None:
-        """Return cost, shared parameters and scatter of a task's best start; None without any."""
+        """Return cost, shared parameters [shared] and scatter [strokes, scatter] of a task's best start.
+
+        In prior standard deviations; None if no start can be simulated.
+        """
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
         none = (np.zeros(healthy), np.zeros((model.size, len(model.scatter))))

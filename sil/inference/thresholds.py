@@ -58,6 +58,18 @@ class Thresholds:
     """Odds that a cause beside a term without a form is no more than a stepping stone."""
     robust_share: float = 0.9
     """Probability of a cause beside a residual whose descriptions leave it as it is (force rigs)."""
+    min_standard_errors: float = 3.0
+    """Least gain of a cause in standard errors over the groups held out, and the like (force rigs)."""
+    min_column_share: float = 0.05
+    """Share of a cause's force that the body's own parameters cannot make up: else it is not judged."""
+    max_value_ratio: float = 2.0
+    """A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""
+    min_described_share: float = 0.2
+    """A function describes a residual if it removes this share of its squares."""
+    max_share_beside_delay: float = 0.2
+    """Share of the excess over noise that a delay of the driving force leaves at most, in each half too."""
+    step_tolerance: float = 0.1
+    """A delay is within a sampling step, or half a step (a force held from sample to sample), so nearly."""
     effective_observations: float = 10.0
     """Effective observations of the model's error."""
     pair_prior: float = 0.1

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sil.inference.force.fit import SURE, Bank, Group, Tried, gain_in_errors
+from sil.inference.force.fit import Bank, Group, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import CONDITIONS
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Verdict, decide
-
-ALIKE = 2.0
-"""A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,8 @@ def has_one_value(bank: Bank, item: Tried, group: Group) -> bool:
                 values_of_half[k] / item.values[k],
                 2.0 * deviations[k] / abs(item.values[k]),
             )
-            if ratio + error < 1.0 / ALIKE or ratio - error > ALIKE:
+            most = LIMITS.max_value_ratio
+            if ratio + error < 1.0 / most or ratio - error > most:
                 return False
     return True
 
@@ -91,7 +89,7 @@ def acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
         return False
     for name in item.names:
         without = by_names[frozenset(item.names) - {name}]
-        if gain_in_errors(item, without) < SURE:
+        if gain_in_errors(item, without) < LIMITS.min_standard_errors:
             return False
         if without.groups and without.rms_n <= LIMITS.max_residual_ratio * without.noise_n:
             return False  # nothing is missing: the cause corrects the form of the other one

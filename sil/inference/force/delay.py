@@ -13,15 +13,9 @@ from numpy.typing import NDArray
 
 from sil.campaign.campaign import Floats
 from sil.inference.force.choice import Choice, choose
-from sil.inference.force.fit import SURE, Bank, Group
+from sil.inference.force.fit import Bank, Group
 from sil.inference.force.record import FEWEST_SAMPLES, FEWEST_STROKES, RADIUS, Recorded
 from sil.inference.thresholds import LIMITS
-
-LEAVES = 0.2
-"""A delay beyond a sampling step gains what a cause must gain, and leaves at most this share of the leader's
-excess over noise; in each half of the record, too, or it leaves no more than noise there."""
-NEAR = 0.1
-"""So near to half a step early, in steps, a force is held from sample to sample; a step ends so near."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class Delay:
 
     def is_within(self, step_s: float) -> bool:
         """Return whether it is a delay within a sampling step [s]."""
-        return abs(self.late_s) <= (1.0 + NEAR) * step_s
+        return abs(self.late_s) <= (1.0 + LIMITS.step_tolerance) * step_s
 
 
 def without_delay(record: Recorded) -> tuple[Choice, str, str]:
@@ -98,7 +92,7 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
         now = moved(steps * step_s)
     whole_s = steps * step_s
     late_s = whole_s + _rest_s(now, pressures)
-    if abs(late_s + 0.5 * step_s) < NEAR * step_s:
+    if abs(late_s + 0.5 * step_s) < LIMITS.step_tolerance * step_s:
         late_s = -0.5 * step_s
     if not late_s:
         return None
@@ -109,8 +103,13 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
     (before, *parts), (after, *left) = _excess(choice), _excess(delay.choice)
     gain = 0.5 * choice.leader.count * (before - after)
     least = LIMITS.needed_gain(len(choice.leader.squares))
-    most = [max(LIMITS.max_residual_ratio**2 - 1.0, LEAVES * part) for part in parts]
-    explains = after <= LEAVES * before and bool(np.all(np.less_equal(left, most)))
+    most = [
+        max(LIMITS.max_residual_ratio**2 - 1.0, LIMITS.max_share_beside_delay * part)
+        for part in parts
+    ]
+    explains = after <= LIMITS.max_share_beside_delay * before and bool(
+        np.all(np.less_equal(left, most))
+    )
     return delay if explains and gain >= least else None
 
 
@@ -165,7 +164,13 @@ def _rest_s(choice: Choice, pressures: bool) -> float:
     size = float(moved @ moved) + 1e-300
     late_s = -float(rest @ moved) / size
     error_s = float(np.sqrt(rest @ rest / size / choice.closest.count))
-    return late_s if SURE * error_s < abs(late_s) <= (1.0 + NEAR) * record.step_s else 0.0
+    return (
+        late_s
+        if LIMITS.min_standard_errors * error_s
+        < abs(late_s)
+        <= (1.0 + LIMITS.step_tolerance) * record.step_s
+        else 0.0
+    )
 
 
 def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:

@@ -35,10 +35,6 @@ from sil.inference.verdict import Explanation
 VISCOUS = "viscous_n_s_m"
 BODY = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}
 POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
-ALIKE = 0.05
-"""A column is not offered if less than this share of it differs from the body's columns."""
-SURE = 3.0
-"""Least gain of a cause, in standard errors over the groups held out."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +203,7 @@ class Bank:
         if free_mass:
             table["mass_kg"] = raw.acceleration_m_s2[rows]
         noise = record.position_sd_m * record.gain_of(2)
-        if free_mass and np.std(table["mass_kg"]) < SURE * noise:
+        if free_mass and np.std(table["mass_kg"]) < LIMITS.min_standard_errors * noise:
             del table["mass_kg"]
             self.missing["mass_kg"] = (
                 "not determined: the acceleration stays within its noise; faster strokes would determine it"
@@ -215,7 +211,11 @@ class Bank:
         determined: list[str] = []
         for name, column in table.items():
             before = [table[n] for n in determined]
-            if determined and difference(np.linalg.qr(np.column_stack(before))[0], column) < ALIKE:
+            if (
+                determined
+                and difference(np.linalg.qr(np.column_stack(before))[0], column)
+                < LIMITS.min_column_share
+            ):
                 self.missing[name] = {
                     VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would determine it",
                     "offset_n": "not determined: the body moves one way only; strokes both ways would separate it from friction",
@@ -233,7 +233,7 @@ class Bank:
         before = len(self._columns)
         for shape in term.form.shapes(raw):
             column = self.record.filtered(term.form.feature(raw, shape))[self.record.judged]
-            if difference(self._base, column) >= ALIKE:
+            if difference(self._base, column) >= LIMITS.min_column_share:
                 if name == "stiffness_cubic":  # whose middle need not be that of the travel
                     square = self.record.filtered(centred(raw) ** 2)[self.record.judged]
                     column = np.column_stack([column, square])

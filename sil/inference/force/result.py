@@ -11,15 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sil.inference.force.fit import BODY, POSITIVE, SURE, Bank, Tried, gain_in_errors
+from sil.inference.force.fit import BODY, POSITIVE, Bank, Tried, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.headline import headline, seen_sentence
 from sil.inference.report import Cause, Gain, Interval, diagnosis_json
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Conclusion, Verdict, kind_of
-
-DESCRIBED = 0.2
-"""A function describes a residual if it removes this share of its squares."""
 
 DETECTABILITY = (
     "with driving force and position alone: causes in the balance of forces; a constant force cannot be "
@@ -149,7 +146,7 @@ class ForceDiagnosis:
         low, value, high = (max(0.0, mean + e) ** 0.5 for e in (-error, 0.0, error))
         on, cause_class, share = self.rest
         where = f"{on} describes {share:.0%} of it"
-        if share < DESCRIBED:
+        if share < LIMITS.min_described_share:
             where = (
                 "no function of speed, position or pressure describes it: dynamic (a flexible joint, a "
                 "time lag, vibration) or not repeated from stroke to stroke"
@@ -221,7 +218,7 @@ class ForceDiagnosis:
             sizes[group.id] = {
                 "id": group.id,
                 "parameter": group.term.form.parameter,
-                "size": max(least, (SURE + 1.28) * deviation),
+                "size": max(least, (LIMITS.min_standard_errors + 1.28) * deviation),
                 "unit": unit,
             }
         return list(sizes.values())
@@ -241,7 +238,7 @@ class ForceDiagnosis:
             [] if self.doubts else self.causes(),
             self.findings(),
             f"a cause gains at least 15 and 1.5 a group of strokes in log evidence on held-out strokes, "
-            f"{SURE:g} standard errors over them, and has a physical sign; explained: a residual of at "
+            f"{LIMITS.min_standard_errors:g} standard errors over them, and has a physical sign; explained: a residual of at "
             f"most {LIMITS.max_residual_ratio:g} times the noise; measured by python -m tests.bench bodies",
             headline=self.headline,
             explains=str(self.gain),

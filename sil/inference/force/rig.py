@@ -16,19 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sil.inference.force.choice import ALIKE
 from sil.inference.force.delay import without_delay
 from sil.inference.force.fit import (
-    SURE,
     Bank,
     Group,
     Tried,
     gain_in_errors,
 )
 from sil.inference.force.record import Recorded, read_motion
-from sil.inference.force.result import DESCRIBED, ForceDiagnosis
+from sil.inference.force.result import ForceDiagnosis
 from sil.inference.force.terms import difference
-from sil.inference.thresholds import UNNAMED
+from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import decide
 
 GIVING_BACK = ("position", "pressure_gain", "pressure times position")
@@ -70,7 +68,7 @@ def _described(bank: Bank, leader: Tried, smooth: Sequence[Group]) -> tuple[str,
         share = 1.0 - item.rms_n**2 / leader.rms_n**2
         descriptions.append((group.name, group.cause_class, share))
     name, cause_class, share = max(descriptions, key=lambda entry: entry[2])
-    return name, cause_class if share >= DESCRIBED else "mechanics", share
+    return name, cause_class if share >= LIMITS.min_described_share else "mechanics", share
 
 
 def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
@@ -94,10 +92,11 @@ def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
             continue
         item = bank.attempt((*leader.groups, other))
         ratio = item.values[k] / leader.values[k]
-        if not 1.0 / ALIKE < ratio < ALIKE or abs(item.values[k]) < 2.0 * item.deviations[k]:
+        most = LIMITS.max_value_ratio
+        if not 1.0 / most < ratio < most or abs(item.values[k]) < 2.0 * item.deviations[k]:
             return False
     best = min(own_class, key=lambda item: item.rms_n)
-    return all(gain_in_errors(item, best) < SURE for item in foreign)
+    return all(gain_in_errors(item, best) < LIMITS.min_standard_errors for item in foreign)
 
 
 # --- what forbids a conclusion ----------------------------------------------------------------
@@ -116,7 +115,7 @@ def _doubts(bank: Bank, plain: Tried, delay: str) -> list[str]:
             "mass and stiffness move together: motion at another frequency would separate them"
         )
     rms = float(np.sqrt(np.mean(bank.target**2)))
-    if rms < SURE * plain.noise_n or bank.is_constant():
+    if rms < LIMITS.min_standard_errors * plain.noise_n or bank.is_constant():
         doubts.append(
             "the driving force is constant, or hardly exceeds its noise: larger or faster strokes would help"
         )
