@@ -24,6 +24,7 @@ from sil.campaign.tables import Decimal, read_columns
 from sil.campaign.units import SCALES
 from sil.files.overrides import toml_value
 from sil.files.quantity import counted
+from sil.files.units import without_units
 
 Floats = NDArray[np.float64]
 
@@ -296,7 +297,8 @@ def load_campaign(path: str | Path) -> Campaign:
     rigs = ("fixed", "length", "both", "force")
     if isinstance(raw.get("rig"), str) and raw["rig"] not in rigs:
         raise InputError(f"{file}: rig: {raw['rig']!r}; expected one of {', '.join(rigs)}")
-    table = convert(raw, CampaignTable, str(file))
+    values = {key: value for key, value in raw.items() if key != "columns"}  # names of columns
+    table = convert(raw | without_units(values, str(file)), CampaignTable, str(file))
     check_files([entry.file for entry in table.stroke], file)
     last = max(len(table.stroke) - 1, 1)
     single = len(table.stroke) == 1

@@ -15,6 +15,7 @@ UNITS = {
     "_kg_m2": "kg m²",
     "_n_per_m": "N/m",
     "_s_per_m": "s/m",
+    "_m3": "m³",
     "_per_k": "1/K",
     "_per_s": "1/s",
     "_m_s2": "m/s²",

@@ -8,6 +8,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil import simulate
+from sil.campaign.campaign import load_campaign
 from sil.files.units import in_unit
 from sil.simulation.load_scenario import load
 from sil.studies.load_study import load_study
@@ -74,5 +75,13 @@ def test_scenarios_settings_models_and_studies_take_units(tmp_path: Path) -> Non
     study = load_study(str(file)).file
     assert study.sweep[0].values == [0.005, 0.02] and study.sweep[1].ends == (0.001, 0.002)
     assert study.load[0].set == {"plant.supply_pressure_pa": 6e5}
+    file.with_name("campaign.toml").write_text(
+        'name = "c"\nrig = "length"\natmosphere_pa = "1.01325bar"\ntemperature_k = 293.0\n'
+        'sample_rate_hz = "2kHz"\n[columns]\nposition_m = "2 mm"\n'
+        '[[stroke]]\nfile = "a.csv"\nkind = "N-B"\nsupply_pressure_pa = "9bar"\ncommands = []\n'
+    )
+    campaign = load_campaign(tmp_path)
+    assert campaign.sample_rate_hz == 2000.0 and campaign.atmosphere_pa == 101325.0
+    assert campaign.strokes[0].conditions.supply_pressure_pa == 9e5
     with pytest.raises(InputError, match=r"--set: valve\.D_rise: 1 N has a unit of force"):
         simulate("nowhere", {"valve.D_rise": "1 N"})
