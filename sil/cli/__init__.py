@@ -34,6 +34,7 @@ COMMANDS = {
     "swarm": "draw scenarios, check the rules, hand over the shortest that breaks one",
     "fmu": "export plant or firmware as a co-simulation unit for other tools",
     "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
+    "example": "list the shipped examples, or copy one to start from",
     "live": "open a live bench in the browser, on this machine only",
     "node": "run one participant of a scenario alone, on a bus",
     "bus": "show transports found here, load and worst-case response times of a bus",

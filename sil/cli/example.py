@@ -1,0 +1,67 @@
+"""List the shipped examples, or copy one into a folder: files to start from, each with its commands.
+
+All their data were made by the simulator; README.md of each says how.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from sil.cli.options import JSON, argument
+
+EXAMPLE = """\
+example:
+  opc4 example
+  opc4 example truck --out mine
+"""
+
+ARGUMENTS = (
+    argument("name", "the example to copy", "NAME", nargs="?"),
+    argument("--out", "folder for its files, made if missing [NAME]", "DIR", type=Path),
+    argument("--force", "replace files of the same name"),
+    JSON,
+)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List or copy. Raises InputError for an example that is not there, or a file that is."""
+    from can_dbc.errors import InputError, nearest
+
+    shipped = Path(__file__).parent.parent / "examples"
+    examples = {path.parent.name: path.parent for path in sorted(shipped.glob("*/README.md"))}
+    if arguments.name is None:
+        titles = {name: _readme(folder).split("\n", 1)[0] for name, folder in examples.items()}
+        lines = [f"{name:<10} {title}" for name, title in titles.items()]
+        print(json.dumps({"examples": titles}) if arguments.json else "\n".join(lines))
+        return 0
+    if arguments.name not in examples:
+        expected = ", ".join(nearest(arguments.name, examples) or examples)
+        raise InputError(f"no example {arguments.name!r}; expected one of {expected}")
+    files = sorted(path for path in examples[arguments.name].iterdir() if path.is_file())
+    out = arguments.out or Path(arguments.name)
+    _copy(files, out, arguments.force)
+    if arguments.json:
+        print(json.dumps({"folder": str(out), "files": [path.name for path in files]}))
+    else:
+        print(f"{out}: {' '.join(path.name for path in files)}\n\n{_readme(out)}", end="")
+    return 0
+
+
+def _readme(folder: Path) -> str:
+    return (folder / "README.md").read_text(encoding="utf-8")
+
+
+def _copy(files: list[Path], out: Path, force: bool) -> None:
+    from can_dbc.errors import InputError
+    from sil.files.atomic import write_atomically
+
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: --out: is a file; expected a folder")
+    for file in files:
+        if (out / file.name).exists() and not force:
+            raise InputError(f"{out / file.name}: exists; expected a new folder, or --force")
+    out.mkdir(parents=True, exist_ok=True)
+    for file in files:
+        write_atomically(out / file.name, file.read_bytes())
