@@ -200,6 +200,9 @@ class ControlConfig(Settings, frozen=True):
     """Time between two steps, a whole number of nanoseconds (thesis 2.2.1: 10 ms)."""
     computation_s: Annotated[float, bounded(0.0, 0.02, "s")] = 0.0001
     """From the start of a step until its frames wait for the bus; below period_s."""
+    ns_per_instruction: Annotated[float, bounded(0.0, 10_000.0, "ns")] = 0.0
+    """Of a firmware in C: its frames wait for the bus after the time of their step's instructions, in
+    place of computation_s; a step longer than period_s misses ticks. 0: computation_s."""
     duty: Annotated[float, bounded(0.35, 1.0, "")] = 0.98
     """Duty that opens a valve (thesis 3.1.3)."""
     duty_closed: Annotated[float, bounded(0.0, 0.35, "")] = 0.33

@@ -71,7 +71,7 @@ static void forecast(void)
     if (growth < 0.0)
         growth = 0.0;
     const double fall = second + 0.5 * growth * (t[2] - t[1]);
-    const double last = __builtin_sqrt(fall * fall + 2.0 * growth * d[2]); /* an instruction, no libm */
+    const double last = __builtin_sqrt(fall * fall + 2.0 * growth * d[2]); /* with -fno-math-errno an instruction, no libm */
     const double least = settings->synchro_brake.least_fall_rad_s2;
     if (last < least || fall < 0.5 * least)
         return;

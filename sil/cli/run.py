@@ -7,6 +7,7 @@ run, which then runs again as it was.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,6 +57,12 @@ ARGUMENTS = (
     *(FIRMWARE, MODEL, EFFECTS, SETTINGS, SEED),
     argument(
         "--save-at", "save the state at this instant into DIR/state.opc4", "SECONDS", type=float
+    ),
+    argument(
+        "--break-at",
+        "write the steps of a firmware in C up to this one as a program for a debugger",
+        "TICK",
+        type=int,
     ),
     argument("--from", "continue a saved state to its end", "FILE", type=Path, dest="state"),
     argument("--strict", "judge changed values of a shipped scenario by its expectations"),
@@ -114,6 +121,8 @@ def run(arguments: argparse.Namespace) -> int:
         external=arguments.external,
         say=say,
     )
+    if arguments.break_at is not None:
+        _write_steps(loaded, arguments.break_at, folder)
     if arguments.save_at is not None:
         from sil.simulation.loop import Loop, save
 
@@ -129,6 +138,28 @@ def run(arguments: argparse.Namespace) -> int:
         for line in jitter_lines(finished.result.bus):
             say(line)
     return _report(arguments, finished, folder)
+
+
+def _write_steps(loaded: Loaded, tick: int, folder: Path) -> None:
+    """Write the program break_TICK.c, and opc4.h beside it. Raises InputError without such a step."""
+    from can_dbc.errors import InputError, RunError
+    from sil.files.atomic import write_atomically
+    from sil.firmware.contract import header
+    from sil.simulation.build import firmware_in_c
+    from sil.simulation.loop import Loop
+
+    loop = Loop(loaded)
+    node = firmware_in_c(loop.participants)
+    if node is None:
+        raise InputError("--break-at: the firmware is not in C; expected FILE.c")
+    node.steps = []
+    with contextlib.suppress(RunError):  # the step that is looked at may be the one that fails
+        loop.finish()
+    if not 0 <= tick < len(node.steps):
+        raise InputError(f"--break-at {tick}: expected 0 to {len(node.steps) - 1}")
+    del node.steps[tick + 1 :]
+    write_atomically(folder / f"break_{tick}.c", node.reproduction(f"break_{tick}"))
+    write_atomically(folder / "opc4.h", header())
 
 
 def _check_instant(arguments: argparse.Namespace, loaded: Loaded) -> None:

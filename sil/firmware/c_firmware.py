@@ -6,7 +6,6 @@ must answer alike. Checked by: tests/unit/sil/firmware/test_c_firmware.py
 
 from __future__ import annotations
 
-from array import array
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from sil.firmware.compiler import compiled
 from sil.firmware.contract import MAX_ARRIVED, Step, received
 from sil.firmware.cost import Cost, write_cost
 from sil.firmware.findings import FirmwareFailure
+from sil.firmware.reproduction import program
 from sil.firmware.wasm import Answer, Instance, Module, read_module
 
 SIGNALS = "firmware.csv"
@@ -48,9 +48,11 @@ class CController(TickingNode):
         self._folder = folder
         self._signals: list[tuple[int, dict[str, float]]] = []  # time in ns and what was traced
         self._pending: list[tuple[int, Frame]] = []
+        self.steps: list[Step] | None = None
+        """What each step was given, if it is to be kept: a list from the start."""
         self._lost = 0
-        self._steps = 0
-        self._instructions = array("I")
+        self._count = 0
+        self._sum_instructions = self._max_instructions = 0
         self._worst = Step(0, (), 0)
         try:
             settings = c_settings.content(config)
@@ -77,33 +79,41 @@ class CController(TickingNode):
         self._lost += max(0, len(self._pending) - MAX_ARRIVED)
         step = Step(now_ns, tuple(self._pending[-MAX_ARRIVED:]), self._lost)
         self._pending.clear()
+        if self.steps is not None:
+            self.steps.append(step)
         try:
             answers = [instance.step(step) for instance in self._instances]
             _compare(answers)
         except FirmwareFailure as failure:
-            what = f"failed: {self._shown(failure)}, tick {self._steps}"
+            what = f"failed: {self._shown(failure)}, tick {self._count}"
             raise ParticipantLost(self.name, what) from None
         answer = answers[-1]
-        if not self._instructions or answer.instructions > max(self._instructions):
-            self._worst = step
-        self._instructions.append(answer.instructions)
-        self._steps += 1
+        self._sum_instructions += answer.instructions
+        if answer.instructions > self._max_instructions:
+            self._max_instructions, self._worst = answer.instructions, step
+        if self.config.ns_per_instruction > 0.0:
+            self.computation_ns = round(answer.instructions * self.config.ns_per_instruction)
+        self._count += 1
         if answer.signals:
             self._signals.append((now_ns, answer.signals))
         return answer.frames
 
     def cost(self) -> Cost:
         """Return what the steps so far have cost."""
-        counts = self._instructions
         return Cost(
-            steps=len(counts),
-            mean_instructions=sum(counts) / max(1, len(counts)),
-            max_instructions=max(counts, default=0),
+            steps=self._count,
+            mean_instructions=self._sum_instructions / max(1, self._count),
+            max_instructions=self._max_instructions,
             max_at_s=self._worst.now_ns / 1e9,
             max_inputs=[f"{can_id:08X}#{data.hex()}" for _, (can_id, data) in self._worst.frames],
             stack_bytes=self._instances[-1].stack_bytes,
             memory_bytes=self._instances[-1].memory_bytes,
         )
+
+    def reproduction(self, stem: str) -> str:
+        """Return a C program that takes the steps kept so far."""
+        assert self.steps
+        return program(self._path, c_settings.content(self.config), self.steps, stem)
 
     def close(self) -> None:
         """Write cost and signals."""

@@ -24,13 +24,18 @@ def firmware_node(
     One in C writes into `folder`, if given, what its steps cost and the signals that it traced.
     Raises InputError for a file that cannot be loaded, and ParticipantLost when its start fails.
     """
-    if Path(where).suffix in (".c", ".wasm"):
+    if in_module(where):
         from sil.firmware.c_firmware import CController
 
         return CController(Path(where), config, name, folder)
     from sil.firmware.python_file import OwnController
 
     return OwnController(where, config, name)
+
+
+def in_module(where: str) -> bool:
+    """Return whether a firmware is in C or WebAssembly."""
+    return Path(where).suffix in (".c", ".wasm")
 
 
 def is_program(where: str) -> bool:

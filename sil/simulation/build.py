@@ -19,7 +19,7 @@ import msgspec
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
 from can_dbc.messages import Gear
-from controller.node import ControllerNode
+from controller.node import ControllerNode, TickingNode
 from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan, Intrusion
@@ -42,7 +42,7 @@ from sil.simulation.scenario import Scenario, expanded
 if TYPE_CHECKING:
     from plant.node import PlantConfig
     from sil.coupling.transports.remote import RemoteChannel
-    from sil.firmware.cost import Cost
+    from sil.firmware.c_firmware import CController
 
 SCENARIO = "scenario.json"
 REMOTE = ("controller", "plant")
@@ -197,13 +197,15 @@ def _on_time(name: str, loaded: Loaded, folder: Path | None) -> Participant:
     return RecordedPlant(loaded, folder)
 
 
-def firmware_cost(participants: Iterable[Participant]) -> Cost | None:
-    """Return what the steps of the control unit cost; None for one in Python."""
-    for node in participants:
-        node = node.inner if isinstance(node, Drifting) else node
-        if node.name == "controller" and hasattr(node, "cost"):
-            cost: Cost = node.cost()
-            return cost
+def firmware_in_c(participants: Iterable[Participant]) -> CController | None:
+    """Return the control unit whose firmware is in C or WebAssembly; None for one in Python."""
+    for participant in participants:
+        node = participant.inner if isinstance(participant, Drifting) else participant
+        if isinstance(node, TickingNode) and not isinstance(node, ControllerNode):
+            from sil.firmware.c_firmware import CController
+
+            assert isinstance(node, CController)
+            return node
     return None
 
 

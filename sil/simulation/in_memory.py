@@ -150,7 +150,8 @@ def finished(loop: Loop) -> Run:
     balances = next((dict(e.values) for e in loop.events if e.name == "balance"), {})
     switchings = metrics.valve_switchings(record)
     figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, len(loop.frames))
-    cost = build.firmware_cost(loop.participants)
+    node = build.firmware_in_c(loop.participants)
+    cost = None if node is None else node.cost()
     return Run(loaded, record, shifts, figures | cost_metrics(cost), balances, rows, cost)
 
 

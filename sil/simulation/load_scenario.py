@@ -17,7 +17,7 @@ from sil.files.overrides import Settings, leaf_paths, set_value
 from sil.files.quantity import unit_of
 from sil.files.units import without_units
 from sil.firmware.load import absolute
-from sil.simulation.scenario import Scenario, check_consistent
+from sil.simulation.scenario import FirmwareTable, Scenario, check_consistent
 
 if TYPE_CHECKING:
     from plant.parameters import ParameterSet
@@ -137,7 +137,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _checked(raw: dict[str, Any], source: str) -> Scenario:
-    """Rewrite the short forms in place: filter = false, [model.valve] D_fall, "7bar"; return the scenario.
+    """Rewrite the short forms in place: filter = false, [firmware], [model.valve] D_fall, "7bar"; return the scenario.
 
     One sensor period is both the sensor's and the firmware's; the gears and ratios of [vehicle] become
     those of plant and controller.
@@ -148,6 +148,15 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
             what = f"{typed_toml.one_line(str(controller['filter']))!r}; expected true or false, or a table"
             raise InputError(f"{source}: controller.filter: {what}")
         controller["filter"] = {"enabled": controller["filter"]}
+    if isinstance(firmware := raw.get("firmware"), dict):
+        limits = typed_toml.convert(firmware, FirmwareTable, source, key="firmware")
+        raw["firmware"] = limits.file
+        for name, limit in (
+            ("firmware_instructions", limits.max_instructions),
+            ("firmware_stack_bytes", limits.max_stack_bytes),
+        ):
+            if limit is not None:
+                _inside(raw, "expect", "metrics")[name] = {"max": limit}
     if isinstance(model := raw.get("model"), dict):
         raw["model"] = without_units(dict(_flat(model, source, "")), source, unit_of_path)
     raw.update(without_units(raw, source))

@@ -167,8 +167,8 @@ def resume(loop: Loop, folder: Path) -> Finished:
         summary = loop.finish()
     except RunError as error:
         why = str(error)
-    if (cost := build.firmware_cost(loop.participants)) is not None:
-        write_cost(cost, folder)
+    if (node := build.firmware_in_c(loop.participants)) is not None:
+        write_cost(node.cost(), folder)
     columns = trace_columns(scenario.plant.drive)
     with (
         BusLog(folder / BUS_LOG) as log,

@@ -21,6 +21,7 @@ from plant.devices.valve_driver import ValveDriverConfig
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FaultPlan
 from sil.files.quantity import quantity
+from sil.firmware.load import in_module
 from sil.nodes.vehicle import VehicleConfig
 from sil.simulation.expectations import Expectations, GearName
 
@@ -70,6 +71,14 @@ class BusTable(_Table, frozen=True, kw_only=True):
     """A program of the user takes part as the node "guest"; the run waits for it to join."""
 
 
+class FirmwareTable(_Table, frozen=True, kw_only=True):
+    """A firmware of the user with limits of what it costs, see `Scenario.firmware`."""
+
+    file: str
+    max_instructions: Annotated[int, Meta(ge=1)] | None = None
+    max_stack_bytes: Annotated[int, Meta(ge=1)] | None = None
+
+
 class ClockTable(_Table, frozen=True, kw_only=True):
     """Clocks that run faster or slower than simulated time."""
 
@@ -106,7 +115,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     firmware: str = ""
     """FILE.py, FILE.py:CLASS, FILE.c or FILE.wasm of a user's own firmware in place of ours, or the
     folder of another checkout of this project with its firmware, relative to the scenario; c for ours
-    in C, empty for ours in Python."""
+    in C, empty for ours in Python. Or a table: file, and max_instructions and max_stack_bytes, short for
+    limits in [expect.metrics]."""
     bus: BusTable = BusTable()
     clock: ClockTable = ClockTable()
     fault: list[BusFault] = []
@@ -181,6 +191,11 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
         yield (
             "bus.send_buffer: missing; expected a number of frames, since more waits than can be "
             f"sent with extra_load {scenario.bus.extra_load:g}"
+        )
+    if scenario.controller.ns_per_instruction and not in_module(scenario.firmware):
+        yield (
+            "controller.ns_per_instruction: given; expected none, since only the instructions of a "
+            "firmware in C are counted"
         )
     if scenario.vehicle is not None and scenario.driver != DriverTable():
         yield "driver: given; expected none with [vehicle], which has its own periods"

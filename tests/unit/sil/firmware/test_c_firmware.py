@@ -6,6 +6,7 @@ import pickle
 import random
 import re
 import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -237,3 +238,82 @@ def test_a_restored_control_unit_goes_on_as_before() -> None:
     copied = pickle.loads(pickle.dumps(node))
     for tick in (1, 2, 3):
         assert node.advance(10 * MS * tick, []) == copied.advance(10 * MS * tick, [])
+
+
+def own_scenario(folder: Path, firmware: str, more: str = "") -> Path:
+    shutil.copy(DRAFT, folder / "own.c")
+    path = folder / "own.toml"
+    path.write_text(
+        f'name = "own"\nduration_s = 0.3\nrequest = [{{ at_s = 0.1, gear = "backward" }}]\n'
+        f"[firmware]\n{firmware}\n{more}"
+    )
+    return path
+
+
+def test_limits_of_a_scenario_are_expectations(tmp_path: Path) -> None:
+    path = own_scenario(tmp_path, 'file = "own.c"\nmax_instructions = 500\nmax_stack_bytes = 4000')
+    checks = {check.name: check.passed for check in run_in_memory(load(str(path))).checks}
+    assert checks["firmware_instructions"] is False and checks["firmware_stack_bytes"] is True
+    with pytest.raises(InputError, match=r"firmware\.max: unknown; expected one of"):
+        load(str(own_scenario(tmp_path, 'file = "own.c"\nmax = 1')))
+
+
+def test_frames_leave_after_the_instructions_of_their_step(tmp_path: Path) -> None:
+    path = own_scenario(tmp_path, 'file = "own.c"')
+    released = {}
+    for ns in (1000.0, 3000.0):
+        run = run_in_memory(load(str(path), settings={"controller.ns_per_instruction": ns}))
+        assert run.firmware is not None
+        times = sorted({f.released_ns for f in run.frames if f.sender == "controller"})
+        released[ns] = len(times)
+        if ns == 1000.0:
+            assert max(time % (10 * MS) for time in times) == 1000 * run.firmware.max_instructions
+    assert released[1000.0] == 30 and 5 < released[3000.0] <= 15  # every other tick is missed
+    with pytest.raises(InputError, match="only the instructions of a firmware in C are counted"):
+        load("lab_n_b", settings={"controller.ns_per_instruction": 1.0})
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler of the system")
+def test_a_step_is_written_as_a_program_that_sends_the_same(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["run", "strategy_synchro_brake", "--firmware", "c", "--break-at", "16"]
+    assert main([*words, "--no-report", "--quiet", "--out", str(out)]) == 0
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-I", "."]
+    flags += ["-ffp-contract=off", "-fno-math-errno"]
+    subprocess.run(["cc", *flags, "-o", "step", "break_16.c"], cwd=out, check=True)
+    printed = subprocess.run([out / "step"], capture_output=True, text=True, check=True).stdout
+    frames = [line.upper() for line in printed.split()]
+    log = [line.split() for line in (out / "bus.log").read_text().splitlines()]
+    sent = {frame for time, _, frame in log if 0.16 <= float(time[1:-1]) < 0.17}
+    assert len(frames) == 5 and set(frames) <= sent
+
+
+DEBOUNCE = """
+#include <stdint.h>
+static uint8_t debounced(uint8_t value)
+{
+    static uint8_t stable = 3, candidate;
+    static int count;
+    count = value == candidate ? count + 1 : 1;
+    candidate = value;
+    if (count >= 4)
+        stable = candidate;
+    return stable;
+}
+"""
+
+
+def test_a_routine_of_another_file_is_included_as_it_is(tmp_path: Path) -> None:
+    """A debounce of the request, which comes every 20 ms, delays the push by three of them."""
+    (tmp_path / "debounce.h").write_text(DEBOUNCE)
+    text = DRAFT.read_text().replace("#include", '#include "debounce.h"\n#include', 1)
+    own = tmp_path / "own.c"
+    own.write_text(
+        text.replace("requested = request.target;",
+                     "requested = (enum opc4_gear)debounced((uint8_t)request.target);")
+    )  # fmt: skip
+    times = [
+        run_in_memory(load("lab_n_b", settings={"firmware": str(path)})).shifts[-1].confirmed_s
+        for path in (own, DRAFT)
+    ]
+    assert times[0] - times[1] == pytest.approx(0.06, abs=0.011)

@@ -1,0 +1,181 @@
+"""Firmware in C: speed of the closed loop, saved states, equality over drawn shifts, branches reached."""
+
+from __future__ import annotations
+
+import collections
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from controller.c_settings import content
+from sil.firmware.compiler import compiled
+from sil.firmware.contract import HEAD, header, pack_step
+from sil.firmware.load import SHIPPED_IN_C
+from sil.simulation.build import firmware_in_c
+from sil.simulation.load_scenario import Loaded, load, shipped
+from sil.simulation.loop import Loop
+from tests.support.twins import run_with_twins
+from tests.unit.sil.firmware.test_c_firmware import in_c, varied
+
+DRAWN = 10_000
+COVERED = 400
+REPEATS = 20
+
+DRIVER = """
+#include "opc4.c"
+#include <stdio.h>
+int main(int count, char **names)
+{
+    FILE *file = fopen(names[count - 1], "rb");
+    if (fread(&fw_in.settings, sizeof fw_in.settings, 1, file) != 1)
+        return 1;
+    fw_init();
+    while (fread(&fw_in.now_ns, 16, 1, file) == 1) {
+        if (fread(fw_in.frames, sizeof fw_in.frames[0], fw_in.count, file) != fw_in.count)
+            return 1;
+        memset(&fw_out, 0, sizeof fw_out);
+        fw_step();
+    }
+    return 0;
+}
+"""
+
+
+def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> Callable[..., Any]:
+    """The function, its processor time added to `spent`."""
+
+    def call(*arguments: Any) -> Any:
+        begin = time.process_time()
+        try:
+            return function(*arguments)
+        finally:
+            spent[name] += time.process_time() - begin
+
+    return call
+
+
+def speed(firmware: str) -> str:
+    """Shifts per second and core with a firmware, and who takes the time."""
+    spent: dict[str, float] = collections.defaultdict(float)
+    loaded = load("full_shift", settings={"firmware": firmware} if firmware else {})
+    Loop(loaded).finish()
+    whole = shifts = 0.0
+    for _ in range(REPEATS):
+        loop = Loop(loaded)
+        for participant in loop.participants:
+            name = (
+                participant.name if participant.name in ("controller", "plant") else "bus and rest"
+            )
+            participant.advance = timed(participant.advance, name, spent)  # type: ignore[method-assign]
+        begin = time.process_time()
+        loop.finish()
+        whole += time.process_time() - begin
+        shifts += 2
+    parts = {name: spent[name] / whole for name in ("controller", "plant")}
+    rest = 1.0 - sum(parts.values())
+    return (
+        f"{shifts / whole:6.1f} shifts/s and core; firmware {parts['controller']:.0%}, "
+        f"plant {parts['plant']:.0%}, bus and rest {rest:.0%}"
+    )
+
+
+def saved(firmware: str) -> str:
+    """Time of snapshot and restore of a loop in the middle of a shift."""
+    loop = Loop(load("full_shift", settings={"firmware": firmware} if firmware else {}))
+    loop.advance(0.2)
+    begin = time.process_time()
+    for _ in range(REPEATS):
+        state = loop.snapshot()
+    between = time.process_time()
+    for _ in range(REPEATS):
+        Loop.restore(state)
+    end = time.process_time()
+    times = (between - begin, end - between)
+    snapshot_us, restore_us = (1e6 * each / REPEATS for each in times)
+    return f"snapshot {snapshot_us:6.0f} us, restore {restore_us:6.0f} us, {len(state)} bytes"
+
+
+def branches() -> Iterator[str]:
+    """Branches of the C sources that shipped and drawn scenarios reach, by gcc and gcov."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        shutil.copytree(SHIPPED_IN_C.parent, folder, dirs_exist_ok=True)
+        (folder / "opc4.h").write_text(header())
+        (folder / "driver.c").write_text(DRIVER)
+        subprocess.run(
+            ["gcc", "--coverage", "-O0", "-o", "driver", "driver.c", "-lm"],
+            cwd=folder,
+            check=True,
+        )
+        scenarios = [loaded for each in shipped() if in_c(loaded := load(each))]
+        for loaded in (*scenarios, *map(varied, range(COVERED))):
+            steps = record(loaded)
+            with open(folder / "steps", "wb") as file:
+                file.write(content(loaded.scenario.controller))
+                file.writelines(steps)
+            subprocess.run([folder / "driver", folder / "steps"], check=True)
+        told = subprocess.run(
+            ["gcov", "-b", "driver-driver.gcda"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for file, taken in re.findall(
+            r"File '(\w+\.[hc])'\n.*\n.*\nTaken at least once:(.*)\n", told
+        ):
+            if file != "driver.c":
+                yield f"{file}: branches taken {taken}"
+        for source in sorted(folder.glob("*.gcov")):
+            if source.stem in ("shift.h",):
+                yield from missed(source)
+
+
+def missed(source: Path) -> Iterator[str]:
+    """Lines of a source with a branch that was never taken."""
+    line = ""
+    for text in source.read_text().splitlines():
+        if text.startswith("branch"):
+            if "never executed" in text or "taken 0%" in text:
+                yield f"  {line.split(':', 2)[1].strip()}: {text.split('(')[0]} | {line.split(':', 2)[2]}"
+        elif ":" in text:
+            line = text
+
+
+def record(loaded: Loaded) -> list[bytes]:
+    """The steps of a run with the firmware in C as the driver reads them."""
+    scenario = msgspec.structs.replace(loaded.scenario, firmware=str(SHIPPED_IN_C))
+    loop = Loop(Loaded(scenario, loaded.parameters, loaded.source))
+    unit = firmware_in_c(loop.participants)
+    assert unit is not None
+    unit.steps = []
+    loop.finish()
+    assert HEAD.size == 16
+    return [pack_step(step) for step in unit.steps]
+
+
+def measure() -> Iterator[str]:
+    """Lines of the tables."""
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / "opc4.wasm"
+        plain.write_bytes(compiled(SHIPPED_IN_C))
+        for title, firmware in (
+            ("Python", ""),
+            ("wasm plain", str(plain)),
+            ("wasm plain and sanitised", "c"),
+        ):
+            yield f"{title:26} {speed(firmware)}"
+        for title, firmware in (("Python", ""), ("wasm plain", str(plain))):
+            yield f"{title:26} {saved(firmware)}"
+    yield from branches()
+    begin = time.perf_counter()
+    for number in range(DRAWN):
+        run_with_twins(varied(number), str(SHIPPED_IN_C))
+    yield f"{DRAWN} drawn shifts with faults: the same frames, {time.perf_counter() - begin:.0f} s"
