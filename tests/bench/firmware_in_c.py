@@ -122,7 +122,7 @@ def branches() -> Iterator[str]:
                 file.writelines(steps)
             subprocess.run([folder / "driver", folder / "steps"], check=True)
         told = subprocess.run(
-            ["gcov", "-b", "driver-driver.gcda"],
+            ["gcov", "-b", "driver.gcda"],
             cwd=folder,
             capture_output=True,
             text=True,
