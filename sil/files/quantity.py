@@ -68,7 +68,10 @@ def quantity(value: Any, unit: str = "", digits: int = 4) -> str:
         factor, small_unit, below = _SCALED[unit]
         if below == 0.0 or abs(value) < below:
             value, unit = value * factor, small_unit
-    return f"{value:.{digits}g} {unit}".rstrip()
+    text = f"{value:.{digits}g}"
+    if "e+" in text and abs(value) < 1e7:  # 26310, not 2.631e+04
+        text = f"{value:.0f}"
+    return f"{text} {unit}".rstrip()
 
 
 def limits(limit: Any, unit: str = "", digits: int = 4) -> str:

@@ -53,7 +53,7 @@ def _stack(runs: Sequence[KeptRun], shift: int) -> Stack:
         marks = [(at_s, name) for at_s, name in run.events if name.endswith(" reported")]
         marks += [(fault.start_s, f"{fault.name} begins") for fault in run.faults]
         rules += [Rule((at_s - begin) * MS, name, role, "x", "dashed") for at_s, name in marks]
-        spans += list(_valve_spans(run, x, rows, order, len(present)))
+        spans += list(_valve_spans(run, x, rows, role, order, len(present)))
     ticks = [(lane + 0.5, f"{chamber} open") for lane, chamber in enumerate(CHAMBERS)]
     position = "Position; dashed: the controller's estimate"
     panels = [
@@ -84,14 +84,14 @@ def _settled_s(run: KeptRun, shift: int) -> float:
 
 
 def _valve_spans(
-    run: KeptRun, x: np.ndarray, rows: np.ndarray, order: int, count: int
+    run: KeptRun, x: np.ndarray, rows: np.ndarray, role: str, order: int, count: int
 ) -> Iterator[Span]:
     """Yield where each valve is open; the runs lie below each other in the lane of a chamber."""
     for lane, chamber in enumerate(CHAMBERS):
         top = lane + 0.92 - 0.84 * order / count
         opened = run.trace[f"valve_{chamber}"][rows] > 0.5
         for begin, end in spans_of(x, opened, float(x[-1])) if len(x) else ():
-            yield Span(begin, end, f"series{order % SERIES}", "", top - 0.76 / count, top)
+            yield Span(begin, end, role, "", top - 0.76 / count, top)
 
 
 def event_cells(row: EventRow) -> list[str]:
