@@ -42,6 +42,8 @@ class Thresholds:
     """Typical sizes below which a further cause is slight, ..."""
     min_slight_share: float = 0.02
     """... and gains at least this share of the healthy misfit: else it corrects the first one's form."""
+    slight_cause_probability: float = 0.45
+    """Probability that a slight cause acts, if its hypothesis leaves more than noise."""
     min_rival_probability: float = 0.05
     """A cause that may replace the leading one is at least so probable."""
     min_contest_share: float = 0.02

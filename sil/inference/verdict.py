@@ -204,7 +204,13 @@ def weigh(
     if UNNAMED in leader.ids and len(leader.ids) > 1:
         unnamed = LIMITS.unnamed_odds_beside_a_term
     unnamed *= weights[[item is leader for item in hypotheses].index(True)]
-    rows = [(item.ids, weight) for item, weight in zip(hypotheses, weights, strict=True)]
+    rows = []
+    for item, weight in zip(hypotheses, weights, strict=True):
+        # a tiny cause may correct the form of the other one, while something is left
+        slight = item.slight if item.whole.beyond > 0.0 else ()
+        acts = LIMITS.slight_cause_probability if slight else 1.0
+        rows.append((item.ids, acts * weight))
+        rows.append((tuple(name for name in item.ids if name not in slight), (1.0 - acts) * weight))
     shared = leader.shared_with_unnamed if leader.ids and UNNAMED not in leader.ids else 0.0
     rows += [((UNNAMED,), (1.0 - shared) * unnamed), ((*leader.ids, UNNAMED), shared * unnamed)]
     total = sum(weight for _ids, weight in rows)
@@ -369,7 +375,7 @@ def _is_accepted(item: E, healthy: E, judged: Sequence[E], blocks: int) -> bool:
         if gain < needed or held_out_gain <= 0.0:
             return False
         slight = 0.5 * LIMITS.min_slight_share * healthy.whole.excess
-        if name in item.slight and (gain < slight or item.whole.beyond > 0.0):
+        if gain < slight and name in item.slight:
             return False
     return True
 

@@ -179,13 +179,15 @@ def with_sizes(item: SimpleNamespace, *sizes: float) -> SimpleNamespace:
     return item
 
 
-def test_a_tiny_second_cause_is_not_claimed_while_something_is_left() -> None:
+def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
     def found(beyond: float):
         pair = entry(400.0, 200.0, "alpha_speed", "dead_volume_passive", beyond=beyond, excess=9.0)
         single = entry(1500.0, 700.0, "alpha_speed")
         return verdict(entry(3000.0, 1500.0, excess=1e5), single, with_sizes(pair, 0.16, 0.03))
 
-    assert found(50.0).claimed == ("alpha_speed",)
+    doubted = found(50.0)
+    assert doubted.probabilities["dead_volume_passive"] == pytest.approx(0.45, abs=0.01)
+    assert doubted.probabilities["alpha_speed"] > 0.9 and doubted.kind == "ambiguous"
     assert found(0.0).probabilities["dead_volume_passive"] > 0.9
 
 
