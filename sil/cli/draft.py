@@ -28,6 +28,8 @@ def write_draft(command: str, arguments: argparse.Namespace, then: str) -> int:
         raise InputError(f"{path}: --new: no draft of such a file; expected {expected}")
     if path.exists() and not arguments.force:
         raise InputError(f"{path}: --new: exists; expected a new file, or --force")
+    if not path.parent.is_dir() or path.is_dir():
+        raise InputError(f"{path}: --new: no such folder; expected a file in one that exists")
     text = drafts[path.suffix].read_text(encoding="utf-8")
     text = text.replace("THIS_FILE", str(path)).replace('"draft"', toml_value(path.stem[:80]))
     write_atomically(path, text)

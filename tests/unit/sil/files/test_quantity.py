@@ -36,6 +36,7 @@ def test_units_follow_from_names() -> None:
     assert [unit_of(n) for n in ("supply_fill_pa_s", "drag_n_m", "supply_v", "resistance_ohm")] == [
         "Pa/s", "N m", "V", "Ω",
     ]  # fmt: skip
+    assert quantity(26_312.0, "N") == "26312 N"
     assert quantity(900_000.0, "Pa") == "9 bar" and quantity(2.0, "s") == "2 s"
 
 
