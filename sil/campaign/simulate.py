@@ -43,7 +43,7 @@ class SimulatedStroke:
 
     @property
     def arrival_s(self) -> float:
-        """First impact on an end stop [s], nan for none."""
+        """First impact on an end stop, from the beginning of the record [s], nan for none."""
         impact = self.stroke.impact
         return impact.time_s if impact else math.nan
 
@@ -102,7 +102,9 @@ def write_campaign(
 ) -> None:
     """Write simulated strokes as a campaign folder; campaign.toml last, so it is whole or absent."""
     written = []
-    arrivals = ["# first end-stop impact of each stroke; nan = none within the record"]
+    arrivals = [
+        "# first end-stop impact of each stroke, from the beginning of the record; nan = none within it"
+    ]
     for item in strokes:
         write_record(folder / item.entry.file, stroke_columns(item.stroke))
         arrivals += [

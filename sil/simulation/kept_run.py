@@ -22,13 +22,20 @@ from can_dbc.user_file import read_user_file
 from sil.files.output_folder import RESULT
 from sil.recording.recorder import EVENTS
 from sil.recording.run_reader import event_of
-from sil.recording.run_record import Floats
+from sil.recording.run_record import CHAMBERS, Floats
 from sil.simulation.fault_marks import FaultSpan, fault_spans
-from sil.simulation.metrics import Shift
+from sil.simulation.metrics import METRICS, Shift
 from sil.simulation.scenario import Scenario
 
 MOST_BYTES = 1 << 30
 """The largest file of a run that is read."""
+
+COLUMNS = (
+    *("time_s", "position_m", "velocity_m_s", "position_internal_m"),
+    *("controller_state", "controller_faults"),
+    *(name for c in CHAMBERS for name in (f"pressure_{c}_pa", f"valve_{c}")),
+)
+"""What is read of trace.csv."""
 
 INSTANTS = ("commanded_s", "first_motion_s", "arrived_s", "confirmed_s", "blow_end_s")
 
@@ -79,6 +86,8 @@ def read_run(where: Path, name: str) -> KeptRun:
     if not stored.complete:
         raise InputError(f"{path}: the run did not finish; expected a complete one")
     shifts = convert(stored.metrics, _Metrics, str(path), "metrics").shifts
+    numbers = {name: stored.metrics.get(name) for name in METRICS}
+    convert(numbers, dict[str, float | None], str(path), "metrics")
     trace = _read_trace(folder / "trace.csv")
     events = [*_plant_events(folder / EVENTS), *_controller_events(trace)]
     faults = fault_spans(convert(stored.scenario, Scenario, str(path), "scenario"))
@@ -98,13 +107,16 @@ def _read_trace(path: Path) -> dict[str, Floats]:
     lines = (
         read_user_file(path, "the trace of a run", MOST_BYTES).decode(errors="replace").splitlines()
     )
-    names = lines[0].split(",") if lines else []
+    names = lines[0].split(",") if len(lines) > 2 else []
+    missing = [name for name in COLUMNS if name not in names]
     try:
+        if missing:
+            raise ValueError
         rows = np.genfromtxt(lines[1:], delimiter=",", ndmin=2)
-        trace = dict(zip(names, rows.T, strict=True))
-        return {name: trace[name] for name in ("time_s", *(n for n in names if n != "time_s"))}
-    except (ValueError, KeyError):
-        raise InputError(f"{path}: not a trace; expected the trace.csv of a run") from None
+        return dict(zip(names, rows.T, strict=True))
+    except ValueError:
+        what = f"no {missing[0]}" if missing else "not a table of numbers"
+        raise InputError(f"{path}: {what}; expected the trace.csv of a run") from None
 
 
 def _plant_events(path: Path) -> Iterator[tuple[float, str]]:
@@ -118,10 +130,10 @@ def _plant_events(path: Path) -> Iterator[tuple[float, str]]:
 
 def _controller_events(trace: Mapping[str, Floats]) -> Iterator[tuple[float, str]]:
     """Yield when the controller reports another state, or a fault that it did not report before."""
-    time_s = trace["time_s"]
+    time_s, names = trace["time_s"], {int(state): state.name for state in ShiftState}
     states = np.nan_to_num(trace["controller_state"], nan=-1).astype(int)
     for row in np.flatnonzero(np.diff(states)) + 1:
-        yield float(time_s[row]), f"state {ShiftState(int(states[row])).name}"
+        yield float(time_s[row]), f"state {names.get(int(states[row]), states[row])}"
     faults = np.nan_to_num(trace["controller_faults"]).astype(int)
     for fault in Fault:
         if fault and (reported := np.flatnonzero(faults & fault.value)).size:

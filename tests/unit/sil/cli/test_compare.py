@@ -10,7 +10,7 @@ import pytest
 
 from sil.cli import main
 from sil.report.compare_page import compare_figure
-from sil.simulation.kept_run import read_run
+from sil.simulation.kept_run import COLUMNS, read_run
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,8 @@ def test_traces_are_aligned_at_the_request(folder: Path) -> None:
     [
         ("result.json", "{", "not JSON; expected the result.json of a run"),
         ("result.json", '{"scenario_name": "x"}', "complete: missing; expected true or false"),
-        ("trace.csv", "a,b\n1,2\n", "not a trace; expected the trace.csv of a run"),
+        ("trace.csv", "a,b\n1,2\n3,4\n", "no time_s; expected the trace.csv of a run"),
+        ("trace.csv", f"{','.join(COLUMNS)}\n1,2\n1\n", "not a table of numbers; expected"),
         ("events.jsonl", "5\n", "not an event; expected time_s, name and values"),
         ("trace.csv", None, "no such file; expected the trace of a run"),
     ],
