@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import random
 import re
 import shutil
 import subprocess
@@ -12,17 +13,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from controller.c_settings import content
+from controller.node import ControllerNode
+from sil.firmware.c_firmware import CController
 from sil.firmware.compiler import compiled
-from sil.firmware.contract import HEAD, header, pack_step
+from sil.firmware.contract import header, pack_step
 from sil.firmware.load import SHIPPED_IN_C
-from sil.simulation.build import firmware_in_c
-from sil.simulation.load_scenario import Loaded, load, shipped
+from sil.simulation.load_scenario import load
 from sil.simulation.loop import Loop
+from tests.support.drawn_inputs import drawn_config, feed
 from tests.support.twins import run_with_twins
-from tests.unit.sil.firmware.test_c_firmware import in_c, varied
+from tests.unit.sil.firmware.test_c_firmware import varied
 
 DRAWN = 10_000
 COVERED = 400
@@ -103,7 +104,7 @@ def saved(firmware: str) -> str:
 
 
 def branches() -> Iterator[str]:
-    """Branches of the C sources that shipped and drawn scenarios reach, by gcc and gcov."""
+    """Branches of the C sources that drawn inputs reach, by gcc and gcov."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         shutil.copytree(SHIPPED_IN_C.parent, folder, dirs_exist_ok=True)
@@ -114,12 +115,14 @@ def branches() -> Iterator[str]:
             cwd=folder,
             check=True,
         )
-        scenarios = [loaded for each in shipped() if in_c(loaded := load(each))]
-        for loaded in (*scenarios, *map(varied, range(COVERED))):
-            steps = record(loaded)
-            with open(folder / "steps", "wb") as file:
-                file.write(content(loaded.scenario.controller))
-                file.writelines(steps)
+        for number in range(COVERED):
+            rng = random.Random(f"inputs {number}")
+            config = drawn_config(rng)
+            unit = CController(SHIPPED_IN_C, config)
+            unit.steps = []
+            feed(ControllerNode(config), unit, rng)
+            content_of_run = [content(config), *map(pack_step, unit.steps)]
+            (folder / "steps").write_bytes(b"".join(content_of_run))
             subprocess.run([folder / "driver", folder / "steps"], check=True)
         told = subprocess.run(
             ["gcov", "-b", "driver.gcda"],
@@ -147,18 +150,6 @@ def missed(source: Path) -> Iterator[str]:
                 yield f"  {line.split(':', 2)[1].strip()}: {text.split('(')[0]} | {line.split(':', 2)[2]}"
         elif ":" in text:
             line = text
-
-
-def record(loaded: Loaded) -> list[bytes]:
-    """The steps of a run with the firmware in C as the driver reads them."""
-    scenario = msgspec.structs.replace(loaded.scenario, firmware=str(SHIPPED_IN_C))
-    loop = Loop(Loaded(scenario, loaded.parameters, loaded.source))
-    unit = firmware_in_c(loop.participants)
-    assert unit is not None
-    unit.steps = []
-    loop.finish()
-    assert HEAD.size == 16
-    return [pack_step(step) for step in unit.steps]
 
 
 def measure() -> Iterator[str]:

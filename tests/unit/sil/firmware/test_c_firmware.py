@@ -10,19 +10,24 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from can_dbc.errors import InputError
 from controller.c_settings import STRATEGIES
 from controller.config import FirmwareConfig, load_config
+from controller.node import ControllerNode
 from sil.cli import main
 from sil.coupling.transports.channel import ParticipantLost
 from sil.firmware import contract
 from sil.firmware.load import SHIPPED_IN_C, firmware_node
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded, load, shipped
 from tests.conftest import ROOT
 from tests.faults.drawn import draw
+from tests.golden_replays import golden_path
+from tests.support.drawn_inputs import drawn_config, feed
 from tests.support.twins import run_with_twins
 
 wasmtime = pytest.importorskip("wasmtime", reason="extra c")
@@ -58,8 +63,6 @@ def varied(number: int) -> Loaded:
         "shift": {"retries": rng.randint(0, 2), "wait_for_sync": rng.random() < 0.3},
         "blow": {"cut": rng.choice(("none", "sync", "confirmation"))},
     }
-    import msgspec
-
     controller = load_config(table, "varied")
     scenario = msgspec.structs.replace(loaded.scenario, controller=controller)
     return Loaded(scenario, loaded.parameters, loaded.source)
@@ -79,17 +82,37 @@ def test_drawn_shifts_with_faults_send_the_same_frames() -> None:
         run_with_twins(varied(number), str(SHIPPED_IN_C))
 
 
-@pytest.mark.slow
-def test_every_shipped_scenario_sends_the_same_frames() -> None:
-    scenarios = [loaded for name in shipped() if in_c(loaded := load(name))]
-    assert len(scenarios) > 20
-    for loaded in scenarios:
-        run_with_twins(loaded, str(SHIPPED_IN_C))
+def feed_drawn(numbers: range) -> None:
+    for number in numbers:
+        rng = random.Random(f"inputs {number}")
+        config = drawn_config(rng)
+        feed(ControllerNode(config), firmware_node(str(SHIPPED_IN_C), config), rng)
+
+
+def test_drawn_inputs_get_the_same_answers() -> None:
+    feed_drawn(range(8))
 
 
 @pytest.mark.slow
-def test_hundreds_of_drawn_shifts_with_faults_send_the_same_frames() -> None:
-    for number in range(5, 300):
+def test_hundreds_of_drawn_inputs_get_the_same_answers() -> None:
+    feed_drawn(range(8, 300))
+
+
+@pytest.mark.slow
+def test_every_shipped_scenario_and_golden_replay_is_the_same() -> None:
+    names = [name for name in shipped() if in_c(load(name))]
+    assert len(names) > 20
+    for name in names:
+        run_with_twins(load(name), str(SHIPPED_IN_C))
+        path = golden_path(ROOT / "tests" / "golden", name)
+        if path.exists():
+            outcome = replay(ReplayRequest(str(path), run=name, firmware="c"))
+            assert outcome.comparison.ticks > 10 and not outcome.differs, name
+
+
+@pytest.mark.slow
+def test_a_hundred_drawn_shifts_with_faults_send_the_same_frames() -> None:
+    for number in range(5, 105):
         run_with_twins(varied(number), str(SHIPPED_IN_C))
 
 
