@@ -260,18 +260,18 @@ def _schema() -> dict[str, Any]:
 
 
 def values_of(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
-    """Return the scenario's own values, and which of the settings mean something in it.
+    """Return the scenario's own values; `reset`: path of each setting that it refuses, and why.
 
-    `reset`: a line for each setting that the scenario refuses. Raises InputError.
+    Raises InputError.
     """
     kept: dict[str, Any] = {}
-    reset = []
+    reset = {}
     for path, value in asked.settings.items():
         try:
             load_asked(msgspec.structs.replace(asked, settings={**kept, path: value}), scenarios)
             kept[path] = value
         except InputError as error:
-            reset.append(f"{path}: {error}")
+            reset[path] = str(error)
     loaded = load_asked(msgspec.structs.replace(asked, settings={}), scenarios)
     controller = loaded.scenario.controller
     return {
@@ -279,7 +279,6 @@ def values_of(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
         "strategy": controller.strategy,
         "filter": controller.filter.enabled,
         "damper": loaded.scenario.plant.damper,
-        "settings": kept,
         "reset": reset,
     }
 

@@ -31,24 +31,11 @@
 
   async function ask(path, body) {
     const how = body === undefined ? {} : { method: "POST", body: JSON.stringify(body) };
-    let answer;
-    try {
-      answer = await fetch(path, how);
-    } catch {
-      waiting = waiting || setInterval(again, 2000);
-      throw new Error(`The server does not answer. This page goes on when it does: opc4 live --port ${location.port}`);
-    }
-    const text = await answer.text();
-    if (answer.status === 403) {
-      waiting = waiting || setInterval(again, 2000);
-      throw new Error("opc4 live was started again. Open the address that it printed; this page then goes on too.");
-    }
-    let content;
-    try {
-      content = JSON.parse(text);
-    } catch {
-      throw new Error(text.trim());
-    }
+    const answer = await fetch(path, how).catch(() => null);
+    if (!answer || answer.status === 403) waiting = waiting || setInterval(again, 2000);
+    if (!answer) throw new Error(`The server does not answer. This page goes on when it does: opc4 live --port ${location.port}`);
+    if (answer.status === 403) throw new Error("opc4 live was started again. Open the address that it printed; this page then goes on too.");
+    const content = await answer.json().catch(() => ({ error: `the server answered ${answer.status}` }));
     if (!answer.ok) throw new Error(content.error);
     return content;
   }
@@ -83,24 +70,16 @@
 
   // While one call is under way only the newest of those that follow is made.
   function latest(act) {
-    let busy = false;
-    let next = null;
-    return async function call(...given) {
-      if (busy) {
-        next = given;
-        return;
+    let [busy, next] = [false, null];
+    return async (...given) => {
+      next = given;
+      if (busy) return;
+      for (busy = true; next;) {
+        const taken = next;
+        next = null;
+        await act(...taken);
       }
-      busy = true;
-      try {
-        await act(...given);
-      } finally {
-        busy = false;
-        if (next) {
-          const waiting = next;
-          next = null;
-          call(...waiting);
-        }
-      }
+      busy = false;
     };
   }
 
@@ -111,11 +90,10 @@
 
   // --- state ---------------------------------------------------------------------------------------
   function restored() {
+    state = { ...EMPTY };
     try {
-      state = { ...EMPTY, ...JSON.parse(decodeURIComponent(location.hash.slice(1))) };
-    } catch {
-      state = { ...EMPTY };
-    }
+      Object.assign(state, JSON.parse(decodeURIComponent(location.hash.slice(1))));
+    } catch { /* none, or not one of ours */ }
     if (!TABS.includes(state.tab)) state.tab = "shift";
     if (!offered.scenarios.includes(state.scenario)) state = { ...EMPTY, tab: state.tab };
   }
@@ -137,6 +115,7 @@
     history.replaceState(null, "", "#" + encodeURIComponent(JSON.stringify(state)));
     if (state.tab === "runs") return list();
     if (state.tab === "bus") {
+      if (!socket) heard = null;
       bus = await ask("/api/frames", asked());
       drawn.bus = window.opc4Draw($("bus-plots"), bus.plots, move);
       const names = [...new Set(bus.frames.map((frame) => frame[3]))].filter(Boolean).sort();
@@ -162,8 +141,9 @@
 
   const refill = guarded(async () => {
     values = await ask("/api/values", { ...asked(), requests: null, faults: {}, duration_s: null });
-    state.settings = values.settings;
-    if (values.reset.length) note(`Reset, because ${state.scenario} does not take it: ${values.reset.join("; ")}`);
+    const refused = Object.entries(values.reset); // by then another value may have been moved: only these go
+    refused.forEach(([path]) => set(path));
+    if (refused.length) note(`Reset, because ${state.scenario} does not take it: ${refused.map(([, why]) => why).join("; ")}`);
     choices($("scenario"), offered.scenarios.map((name) => [name, name]), state.scenario);
     choices($("strategy"), offered.strategies.map((name) => [name, name]), chosen("controller.strategy", values.strategy));
     $("damper").value = chosen("plant.damper", values.damper);
@@ -244,18 +224,16 @@
     requestAnimationFrame(turn);
   }
 
-  function pause() {
-    playing = 0;
-    $("play").textContent = "Play";
+  function pause(begin = 0) {
+    playing = begin;
+    $("play").textContent = begin ? "Pause" : "Play";
   }
 
   function play() {
-    if (playing || !run) return pause();
-    if (now >= run.duration_ms) now = 0;
-    playing = performance.now();
-    $("play").textContent = "Pause";
-    requestAnimationFrame(turn);
-    return undefined;
+    const begin = playing || !run ? 0 : performance.now();
+    if (begin && now >= run.duration_ms) now = 0;
+    pause(begin);
+    if (begin) requestAnimationFrame(turn);
   }
 
   function move(to) {

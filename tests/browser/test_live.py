@@ -125,7 +125,7 @@ def test_a_slider_a_reload_and_a_second_tab(browser: Any, live: Live) -> None:
     page.after(lambda: ActionChains(browser).drag_and_drop_by_offset(slider, 20, 0).perform())
     assert "valve.D_rise" in page.scenario()
     page.after(lambda: ActionChains(browser).drag_and_drop_by_offset(slider, 35, 0).perform())
-    page.click("reset")
+    page.after(lambda: page.click("reset"))
     first = page.after(lambda: page.slide("valve.D_fall", 31))
     command = page.one("copy-command").get_attribute("data-text")
     assert "--set valve.D_fall=0.0155" in command
