@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import replace
 
-from can_dbc.messages import ControllerStatus
+from can_dbc.errors import RunError
+from can_dbc.messages import ControllerStatus, ShiftState
 from plant.trace import trace_columns
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
@@ -25,6 +26,7 @@ from sil.files.html_table import html_table
 from sil.files.quantity import counted, quantity
 from sil.firmware.cost import Cost, cost_metrics
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
+from sil.recording.run_reader import PIECE_S
 from sil.recording.run_record import Floats, RunRecord
 from sil.simulation import build, metrics
 from sil.simulation.circumstances import circumstances
@@ -168,20 +170,28 @@ def checks_of(
     expect = scenario.expect if lockstep else replace(scenario.expect, lockstep={})
     checks = evaluate(expect, observed, shifts, figures, last)
     for k, check in enumerate(checks):
-        if check.value == UNFINISHED and not check.passed and not scenario.bus.guest:
-            checks[k] = replace(check, value=f"{UNFINISHED}; {_too_short(loaded)}")
+        if check.value == UNFINISHED and not check.passed:
+            checks[k] = replace(check, value=f"{UNFINISHED}{_too_short(loaded)}")
     return checks
 
 
 def _too_short(loaded: Loaded) -> str:
-    """Return by how much a run is too short for its last request: by a longer run of the same scenario."""
+    """Return by how much a run is too short for its last request: by a longer run of the same scenario.
+
+    Empty if there can be none: a guest takes part, it would take long, or its firmware fails.
+    """
     scenario, longer_s = loaded.scenario, 3.0
     last, end_s = scenario.request[-1], scenario.duration_s
-    run = run_in_memory(
-        dataclasses.replace(loaded, scenario=replace(scenario, duration_s=end_s + longer_s))
-    )
+    if scenario.bus.guest or end_s > PIECE_S:
+        return ""
+    longer = replace(scenario, duration_s=end_s + longer_s)
+    try:
+        run = run_in_memory(dataclasses.replace(loaded, scenario=longer))
+    except RunError:
+        return ""
     for entry, message in run.record.of(ControllerStatus):
         late_s = entry.arrival_ns / NS_PER_S - end_s
-        if late_s > 0.0 and message.confirmed == build.gear_of(last.gear):
-            return f"the run is too short by {math.ceil(1e3 * late_s)} ms"
-    return f"not even {longer_s:g} s later"
+        ends = message.confirmed == build.gear_of(last.gear) or message.state is ShiftState.FAULT
+        if late_s > 0.0 and ends:
+            return f"; the run is too short by {math.ceil(1e3 * late_s)} ms"
+    return f"; not even {longer_s:g} s later"
