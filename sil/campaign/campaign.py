@@ -47,7 +47,7 @@ OWN = re.compile(
 class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
     """Where one of our columns comes from in another rig's file: column * scale + offset.
 
-    column: a name, or a formula of names as in `sil.campaign.formula`.
+    column: a name, or a formula of names and numbers with + - * / **; a name that is not plain is quoted, `row` counts the rows from 0.
     scale: factor to our unit.
     offset: added after it, in our unit.
     delay_s: by which the channel lags behind time_s.

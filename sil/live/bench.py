@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import zip_longest
 from operator import getitem
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
@@ -38,6 +39,7 @@ from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded
 from sil.simulation.scenario_text import scenario_toml
+from sil.studies.inputs import named_files
 
 if TYPE_CHECKING:
     import can
@@ -155,11 +157,16 @@ def frames(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _run(asked: Asked, scenarios: Mapping[str, str]) -> tuple[Loaded, Run]:
-    return _cached(msgspec.json.encode(asked, order="sorted"), tuple(scenarios.items()))
+    files = named_files(scenarios.get(asked.scenario, ""), (Path(),), set())
+    written = tuple(sorted((str(path), path.stat().st_mtime_ns) for path in files))
+    return _cached(msgspec.json.encode(asked, order="sorted"), tuple(scenarios.items()), written)
 
 
 @functools.lru_cache(16)
-def _cached(asked: bytes, scenarios: tuple[tuple[str, str], ...]) -> tuple[Loaded, Run]:
+def _cached(
+    asked: bytes, scenarios: tuple[tuple[str, str], ...], _written: tuple[tuple[str, int], ...]
+) -> tuple[Loaded, Run]:
+    """Run what is asked; `_written`: when its files were, since an edited one is another scenario."""
     loaded = load_asked(msgspec.json.decode(asked, type=Asked), dict(scenarios))
     return loaded, run_in_memory(loaded)
 

@@ -145,7 +145,8 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
     controller = raw.get("controller")
     if isinstance(controller, dict) and not isinstance(controller.get("filter", {}), dict):
         if not isinstance(controller["filter"], bool):
-            what = f"{typed_toml.one_line(str(controller['filter']))!r}; expected true or false, or a table"
+            shown = typed_toml.one_line(repr(controller["filter"]))
+            what = f"{shown} is wrong; expected true or false, or a table"
             raise InputError(f"{source}: controller.filter: {what}")
         controller["filter"] = {"enabled": controller["filter"]}
     if isinstance(firmware := raw.get("firmware"), dict):

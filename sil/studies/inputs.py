@@ -34,7 +34,7 @@ def input_digests(study: Study) -> dict[str, str]:
     table, scenario = study.base or ({}, Path())
     keys = msgspec.to_builtins(study.file)
     folders = (Path(study.source).parent, scenario.parent, Path())
-    files = sorted(set(_named_files([keys, table], folders, set())))
+    files = sorted(set(named_files([keys, table], folders, set())))
     texts = {"the study": keys, "its scenario": table}
     digests = {name: _hash(json.dumps(t, sort_keys=True, default=str)) for name, t in texts.items()}
     digests |= {str(path): _hash(path.read_bytes()) for path in files}
@@ -70,7 +70,7 @@ def _texts(value: Any) -> Iterator[str]:
         yield value
 
 
-def _named_files(value: Any, folders: Sequence[Path], passed: set[Path]) -> Iterator[Path]:
+def named_files(value: Any, folders: Sequence[Path], passed: set[Path]) -> Iterator[Path]:
     """Yield the files that texts name, and those that these need; `passed`: those found before."""
     for text in _texts(value):
         name = text.partition(MARK)[0]
@@ -93,7 +93,7 @@ def _needed_by(path: Path, passed: set[Path]) -> Iterator[Path]:
     try:
         if path.suffix == ".toml":
             table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-            yield from _named_files(table, (path.parent,), passed)
+            yield from named_files(table, (path.parent,), passed)
         elif path.suffix == ".py":
             yield from _imported(path)
         elif path.suffix in (".c", ".h"):

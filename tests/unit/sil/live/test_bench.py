@@ -171,3 +171,14 @@ def test_a_file_of_the_user_is_offered_by_its_name(tmp_path: Path) -> None:
     asked = Asked(scenario="mine")
     shown = bench.compare(asked, asked, {"mine": str(file)})
     assert shown["duration_ms"] == 200.0
+
+
+def test_an_edited_scenario_is_run_anew(tmp_path: Path) -> None:
+    file = tmp_path / "my.toml"
+    text = shipped()["lab_n_b"].read_text()
+    hashes = []
+    for content in (text, text.replace("at_s = 0.1", "at_s = 0.2")):
+        file.write_text(content)
+        asked = Asked(scenario=str(file))
+        hashes.append(bench.compare(asked, asked, {str(file): str(file)})["trace_sha256"])
+    assert hashes[0] != hashes[1]
