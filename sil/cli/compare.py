@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from pathlib import Path
 
 from sil.cli.options import JSON, argument, out
@@ -42,7 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     hashes = {each.trace_sha256 for each in runs}
     equal = len(hashes) == 1 and None not in hashes
     folder = prepare_folder(arguments.out, "compare", arguments.force, map(str, arguments.run))
-    write_page(runs, metrics, events, equal, folder)
+    again = shlex.join(["opc4", "compare", *map(str, arguments.run)])
+    write_page(runs, metrics, events, equal, folder, again)
     report = {
         "runs": [
             {"name": each.name, "scenario": each.scenario_name, "trace_sha256": each.trace_sha256}

@@ -119,8 +119,9 @@ def write_page(
     events: Sequence[EventRow],
     equal: bool,
     folder: Path,
+    again: str,
 ) -> None:
-    """Write compare.png, compare.svg and report.html."""
+    """Write compare.png, compare.svg and report.html; `again`: the command that makes them."""
     names = [run.name for run in runs]
     figure = compare_figure(runs, ", ".join(names))
     picture = save(figure, folder, "compare", dots_per_inch=140)
@@ -133,7 +134,7 @@ def write_page(
             ("never" if time_s is None else quantity(time_s, "s", 3), f"{name}, request to stop")
             for name, time_s in zip(names, arrivals, strict=True)
         ],
-        again="opc4 compare " + " ".join(names),
+        again=again,
     )
     text = "Position, speed, pressures and valves over the time after the request, the runs over each other."
     page = render(
