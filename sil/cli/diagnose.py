@@ -247,14 +247,16 @@ def print_causes(found: dict[str, Any]) -> None:
         sure = "above 0.99" if share > 0.99 else f"{share:.2f}"
         print(f"  probability of {cause['id']} ({cause['class']}): {sure}")
     if "explains" in found:
-        what = "Explains" if found["causes"] else "Residual"
+        what = "Explains" if " from " in found["explains"] else "Residual"
         print(f"  {what}: {found['explains']}, on strokes that were not used for the fit")
     advice = {
-        "ambiguous": "measure the strokes that --next proposes, which separate them",
         "unnamed": "look at the largest residuals in report.html; an effect of your own can describe it",
         "named": "run the control loop with extended_model.toml to see what it changes",
     }
-    if found["verdict"] in advice and not found.get("body"):
+    following = found.get("next_experiment")
+    if following is not None:
+        print(f"  Next: measure {following['strokes'][0]['label']}; --next writes the strokes")
+    elif found["verdict"] == "unnamed" or (found["verdict"] == "named" and found["extended_model"]):
         print(f"  Next: {advice[found['verdict']]}")
 
 
@@ -269,6 +271,5 @@ def _print_next(found: dict[str, Any]) -> None:
     print(f"  next: {following['why']}")
     strokes = following["strokes"]
     for label, count in Counter(stroke["label"] for stroke in strokes).items():
-        each = next(s["expected_distance"] for s in strokes if s["label"] == label)
-        print(f"    {count} x {label}: {each:.3g} each")
+        print(f"    {count} x {label}")
     print(f"    written to {found['next_campaign']}")

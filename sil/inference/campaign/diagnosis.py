@@ -33,7 +33,7 @@ from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.headline import headline, seen_sentence
 from sil.inference.refused import Refusals
 from sil.inference.report import Cause, Gain, diagnosis_json
-from sil.inference.screening import Detectable, detectable
+from sil.inference.screening import Detectable, detectable, screen
 from sil.inference.search import Search
 from sil.inference.spread import Spread
 from sil.inference.thresholds import LIMITS
@@ -153,6 +153,8 @@ def diagnose(
     if verdict.claimed:
         fit = search.refine(verdict.leader.training, 0)
         scores = search.unseen_beside(verdict.leader.training)
+    elif not scores:
+        scores = screen(search.fitter, fit, causes_tried)
     fit = replace(fit, blocks={k: fit.blocks[k] for k in search.sample})
     sizes = detectable(search.fitter, fit, scores, gain, workers)
     if verdict.kind == "consistent":

@@ -127,23 +127,15 @@ class NextExperiment:
     @property
     def why(self) -> str:
         """One sentence: what the strokes are for and what is expected of them."""
-        count = len(self.strokes)
-        one, two = self.weakest
-        least, separated = (
-            self.together[one, two],
-            sum(d >= self.enough for d in self.together.values()),
-        )
-        text = f"{self.purpose}: {counted(count, 'stroke')} "
+        count = counted(len(self.strokes), "stroke")
         if self.separated:
-            return (
-                text + f"{'gives' if count == 1 else 'give'} at least {least:.3g} in log evidence"
-            )
+            return f"{self.purpose}: {count}, expected to be enough"
         if len(self.together) > 2:
-            return text + f"would show {separated} of {len(self.together)}"
-        return text + (
-            f"{'gives' if count == 1 else 'give'} {least:.3g} in log evidence for {one} against {two}; "
-            f"{self.enough:.3g} would be enough"
-        )
+            separated = sum(d >= self.enough for d in self.together.values())
+            return f"{self.purpose}: {count}, expected to show {separated} of {len(self.together)}"
+        one, two = self.weakest
+        share = self.together[one, two] / self.enough
+        return f"{self.purpose}: {count}, {share:.0%} of what tells {one} from {two}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the object in diagnosis.json: the first stroke's conditions, then all strokes."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from sil.cli.diagnose import print_causes
 from sil.inference.headline import headline, seen_sentence
 from sil.inference.report import Cause, Gain, Interval
 
@@ -64,3 +65,26 @@ def test_what_is_explained_is_said_in_the_units_of_the_measurement() -> None:
     assert text == "rms of position from 1.9 mm to 0.02 mm, of which noise is 0.02 mm"
     rotary = Gain((), {"torque_n_m": (1.0, 0.5, 0.5)}, 2.0, 1.0)
     assert str(rotary) == "rms of torque from 1 N m to 0.5 N m, of which noise is 0.5 N m"
+
+
+def test_the_command_says_what_how_sure_what_it_explains_and_what_next(capsys) -> None:
+    evidence = "it gains 1.2e+13 in log evidence"
+    print_causes(
+        {
+            "campaign": "measured",
+            "verdict": "named",
+            "headline": "Valves open 5.0 ms late (4.4 to 5.6 ms).",
+            "causes": [{**LATE.as_json(), "evidence": evidence}],
+            "explains": "rms of position from 1.9 mm to 0.02 mm, of which noise is 0.02 mm",
+            "next_experiment": None,
+            "extended_model": "extended_model.toml",
+        }
+    )
+    assert capsys.readouterr().out.splitlines() == [
+        "measured: named",
+        "  Valves open 5.0 ms late (4.4 to 5.6 ms).",
+        "  probability of valve_open_delay (some class): 0.98",
+        "  Explains: rms of position from 1.9 mm to 0.02 mm, of which noise is 0.02 mm, on strokes "
+        "that were not used for the fit",
+        "  Next: run the control loop with extended_model.toml to see what it changes",
+    ]
