@@ -209,7 +209,8 @@ def _report(arguments: argparse.Namespace, finished: Finished, folder: Path) -> 
         name = finished.result.scenario_name
         print("\n".join(summary_lines(finished, folder, f"{name} with {_changed_by(arguments)}")))
     if not finished.result.complete:
-        say(f"opc4 run: {finished.result.why}; what was recorded is in {folder}")
+        why = f"opc4 run: {finished.result.why}"
+        say("; ".join([why, *close_folders(why)]))
         return 3
     return 0 if finished.result.passed else 1
 

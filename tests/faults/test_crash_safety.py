@@ -220,6 +220,19 @@ def test_a_signal_ends_a_run_and_leaves_nothing_behind(
     }
 
 
+def test_a_full_disk_ends_a_run_with_one_line_and_a_mark(tmp_path: Path) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    process = started(["run", "full_shift", "--no-report", "--out", "out"], tmp_path, limit)
+    _, complaints = process.communicate(timeout=120.0)
+    assert process.returncode == 3
+    lines = [line for line in complaints.splitlines() if "compiling" not in line]
+    assert len(lines) == 1 and "File too large: 'out/" in lines[0]
+    assert lines[0].endswith("; out holds what was done, marked INCOMPLETE")
+    assert "File too large" in state(tmp_path / "out")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("room", [100_000, 1_000])
