@@ -36,10 +36,10 @@ from sil.report.live_figure import bus_stack, comparison_stack
 from sil.report.plots import content, rounded
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import Run, run_in_memory
+from sil.simulation.inputs import named_files
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded
 from sil.simulation.scenario_text import scenario_toml
-from sil.studies.inputs import named_files
 
 if TYPE_CHECKING:
     import can

@@ -23,7 +23,7 @@ import msgspec
 from can_dbc.errors import InputError, RunError
 from sil.files.atomic import write_atomically
 from sil.files.worker import in_turn
-from sil.studies.inputs import changed_inputs, input_digests
+from sil.simulation.inputs import changed_inputs
 from sil.studies.study import Row, Study
 from sil.studies.table import RESULTS
 
@@ -86,7 +86,7 @@ def run_study(
     if a worker dies or the cluster cannot be reached.
     """
     path, begin = folder / RESULTS, 0
-    inputs = input_digests(study)
+    inputs = study.input_digests()
     if resume and path.exists():
         begin, length = completed(study, folder)
         os.truncate(path, length)
@@ -112,7 +112,7 @@ def run_study(
             path.unlink()
             (folder / STATE).unlink()
         raise
-    if changed := changed_inputs(inputs, input_digests(study)):
+    if changed := changed_inputs(inputs, study.input_digests()):
         raise RunError(
             f"{path}: {', '.join(changed)} changed while the study ran; the rows are of both"
         )
@@ -149,7 +149,7 @@ def completed(study: Study, folder: Path) -> tuple[int, int]:
         )
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{state}: not the state of a sweep; expected one begun here") from None
-    if changed := changed_inputs(inputs, input_digests(study)):
+    if changed := changed_inputs(inputs, study.input_digests()):
         raise InputError(
             f"{folder}: holds the rows of another study: {', '.join(changed)} changed since; expected all as it "
             "was, --force or another --out"

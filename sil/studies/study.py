@@ -162,6 +162,14 @@ class Study:
     source: str
     base: tuple[dict[str, Any], Path] | None = None
 
+    def input_digests(self) -> dict[str, str]:
+        """Return what decides the rows, by name, as `sil.simulation.inputs.input_digests` does."""
+        from sil.simulation.inputs import input_digests
+
+        table, scenario = self.base or ({}, Path())
+        tables = {"the study": msgspec.to_builtins(self.file), "its scenario": table}
+        return input_digests(tables, (Path(self.source).parent, scenario.parent, Path()))
+
     @cached_property
     def points(self) -> list[tuple[Value, ...]]:
         """The points of the design, one value for each sweep."""

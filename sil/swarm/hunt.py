@@ -13,8 +13,7 @@ import os
 import random
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
-from importlib.metadata import version
+from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ import msgspec
 
 from can_dbc.errors import InputError
 from sil.rules import Rule, Violation
+from sil.simulation.inputs import input_digests
 from sil.swarm.attempt import Attempt, attempt
 from sil.swarm.draw import Table, neighbour, new_table
 from sil.swarm.shrink import shrink
@@ -90,24 +90,15 @@ class Hunt:
         self._promising: list[Table] = []
         self._causes: set[tuple[str, ...]] = set()
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """The hash of what the draws depend on: another swarm's generations are not continued."""
-        content: list[object] = [
-            self._base,
-            self._seed,
-            self._guided,
-            self._size,
-            version("opc4-sil"),
-        ]
-        content += [rule.name for rule in self._rules]
-        if firmware := self._base.get("firmware"):
-            files = (
-                sorted(Path(firmware).rglob("*.py"))
-                if Path(firmware).is_dir()
-                else [Path(firmware.partition(":")[0])]
-            )
-            content += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        sources = [getattr(rule.first, "__code__", None) for rule in self._rules]
+        files = [source.co_filename for source in sources if source]
+        names = [rule.name for rule in self._rules]
+        tables = {"base": self._base, "rules": [names, files]}
+        inputs = input_digests(tables, (Path(),))
+        content = [self._seed, self._guided, self._size, inputs]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     def tables(self, generation: int) -> list[Table]:

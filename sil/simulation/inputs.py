@@ -1,6 +1,6 @@
-"""Everything that the rows of a study depend on, by content: what a resumed study has to have again.
+"""Everything that runs depend on, by content: what a resumed study or swarm has to have again.
 
-Checked by: tests/unit/sil/studies/test_inputs.py
+Checked by: tests/unit/sil/simulation/test_inputs.py
 """
 
 from __future__ import annotations
@@ -9,34 +9,26 @@ import hashlib
 import json
 import sys
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from modulefinder import ModuleFinder
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import msgspec
+from typing import Any
 
 from plant.effects.user_file import MARK
 from sil.simulation.results import versions
 
-if TYPE_CHECKING:
-    from sil.studies.study import Study
-
 PACKAGES = ("can_dbc", "controller", "plant", "sil")
 
 
-def input_digests(study: Study) -> dict[str, str]:
-    """Return what decides the rows, by name: a hash of each file's content, or a version.
+def input_digests(tables: Mapping[str, Any], folders: Sequence[Path]) -> dict[str, str]:
+    """Return what decides runs, by name: a hash of each table's and file's content, or a version.
 
-    Every text in the study and its scenario that names a file counts, with what such a TOML file names
-    and what such a Python file imports from its own folders.
+    tables: by the name that a message uses. Every text in them that names a file, in one of the folders,
+    counts, with what such a TOML file names and what such a Python file imports from its own folders.
     """
-    table, scenario = study.base or ({}, Path())
-    keys = msgspec.to_builtins(study.file)
-    folders = (Path(study.source).parent, scenario.parent, Path())
-    files = sorted(set(named_files([keys, table], folders, set())))
-    texts = {"the study": keys, "its scenario": table}
-    digests = {name: _hash(json.dumps(t, sort_keys=True, default=str)) for name, t in texts.items()}
+    files = sorted(set(named_files(list(tables.values()), folders, set())))
+    texts = {name: json.dumps(t, sort_keys=True, default=str) for name, t in tables.items()}
+    digests = {name: _hash(text) for name, text in texts.items()}
     digests |= {str(path): _hash(path.read_bytes()) for path in files}
     return digests | {"the program": _program()} | versions()
 

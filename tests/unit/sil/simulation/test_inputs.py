@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
+from sil.simulation.inputs import changed_inputs
 from sil.studies.executor import STATE, run_study
-from sil.studies.inputs import changed_inputs, input_digests
 from sil.studies.load_study import load_study
 from sil.studies.table import RESULTS
 
@@ -46,7 +46,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_every_file_that_decides_a_row_counts(folder: Path) -> None:
     def digests() -> dict[str, str]:
-        return input_digests(load_study(str(folder / "study.toml")))
+        return load_study(str(folder / "study.toml")).input_digests()
 
     before = digests()
     named = {Path(name).name for name in before if str(folder) in name}
