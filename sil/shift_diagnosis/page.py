@@ -19,9 +19,11 @@ from plant.parameters import Parameter, load_actuator
 from sil.files.atomic import write_atomically
 from sil.files.progress import Progress
 from sil.files.quantity import counted, noun
+from sil.inference.headline import headline, seen_sentence
 from sil.inference.model_file import model_file
 from sil.inference.report import Cause as Reported
 from sil.inference.report import Interval, diagnosis_json
+from sil.inference.thresholds import UNNAMED
 from sil.j1939.mapping import SignalMapping
 from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.picture import save
@@ -29,8 +31,8 @@ from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.shift_diagnosis.judge import judge_shifts
 from sil.shift_diagnosis.model import Cause
-from sil.shift_diagnosis.shifts import LEAD_S, RecordedShift, shifts_of
-from sil.shift_diagnosis.verdict import EXPLAINED, Judged, ShiftDiagnosis
+from sil.shift_diagnosis.shifts import FAILED, LEAD_S, RecordedShift, shifts_of
+from sil.shift_diagnosis.verdict import EXPLAINED, Judged, ShiftDiagnosis, with_failures
 
 FALSE_ALARM_BASIS: Final = (
     "posterior of a healthy truck at most 0.01, with priors on what differs between healthy trucks; "
@@ -148,6 +150,7 @@ def as_json(found: ShiftDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
         causes,
         findings,
         FALSE_ALARM_BASIS,
+        headline=headline_of(found, causes),
         rivals=[group["causes"] for group in rivals],
         extended_model="extended_model.toml" if found.verdict == "named" else None,
         logs=logs,
@@ -170,6 +173,19 @@ def as_json(found: ShiftDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
         truck=truck_rows(found),
         assumed=list(ASSUMED),
     )
+
+
+def headline_of(found: ShiftDiagnosis, causes: list[Reported]) -> str:
+    """Return the one sentence that a reader needs first."""
+    first = found.findings[0] if found.findings else ""
+    if found.verdict == UNNAMED:
+        return f"Something is wrong: {first}; no cause of the catalogue explains it."
+    seen = seen_sentence(
+        (i.cause.effect.id, i.value, i.cause.parameter.neutral, i.cause.parameter.unit)
+        for i in found.detectable
+        if i.value is not None and not i.cause.is_narrowing
+    )
+    return headline(found.verdict, causes, seen, first)
 
 
 def truck_rows(found: ShiftDiagnosis) -> list[dict[str, Any]]:
@@ -267,6 +283,7 @@ def diagnosed(
                 skipped["that an earlier log holds, too,"] += 1
         broken += [f"{path}: {fault}" for fault in faults]
     found = judge_shifts(list(shifts.values()), parameters, progress, workers)
+    found = with_failures(found, skipped.pop(FAILED, 0))
     return replace(found, findings=(*found.findings, *broken))
 
 

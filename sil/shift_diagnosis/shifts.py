@@ -49,6 +49,11 @@ NO_BLOWS: Final = 20
 """Commands without any SafetyBlow from which the log is taken as one without them."""
 NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
 MOST_PULSES: Final = 96
+FAILED: Final = "that did not reach the gear commanded"
+"""Why a failed shift is not compared; it is evidence all the same."""
+GIVEN_UP_S: Final = 0.5
+"""Time after which a commanded gear that was not reached is a failed shift, not a change of mind."""
+GEAR_NAMES: Final = {Gear.NEUTRAL: "N", Gear.BACKWARD: "B", Gear.FORWARD: "F"}
 FRAME_S: Final = 0.00026
 """Time of a pulse's frame on a bus of 500 kbit/s; another bit rate is part of the delay's prior."""
 AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
@@ -82,6 +87,7 @@ class _Episode:
     """Commands, pulses and speeds of a shift; ns."""
 
     begin_ns: int
+    targets: list[tuple[int, Gear]] = field(default_factory=list)
     commands: list[tuple[int, int, float]] = field(default_factory=list)
     pulses: list[tuple[int, Frame]] = field(default_factory=list)
     speeds: list[tuple[int, Frame]] = field(default_factory=list)
@@ -148,8 +154,11 @@ class ShiftReader:
         energised = max(duties) >= self._duty_open
         ended = self._closed(self._cutter.command(at_ns, energised, self._is_in_gear))
         if self._episode is None and self._cutter.begin_ns is not None:
-            self._episode = _Episode(at_ns, [], list(self._pulses), list(self._speeds))
+            self._episode = _Episode(at_ns, pulses=list(self._pulses), speeds=list(self._speeds))
         if self._episode is not None:
+            targets = self._episode.targets
+            if energised and self._driver.target not in {target for _, target in targets[-1:]}:
+                targets.append((at_ns, self._driver.target))
             self._episode.commands += [
                 (at_ns, chamber, duty)
                 for chamber, (duty, old) in enumerate(zip(duties, before, strict=True))
@@ -218,8 +227,10 @@ class ShiftReader:
             return "that do not begin in a gear"
         moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > 3e-4)
         first = max(int(np.searchsorted(measured_s, 0.0)), 1)
-        if gears[1] is None or not len(moving) or moving[-1] < first:
-            return "without motion, or without a gear at the end"
+        if gears[1] is None or self._gave_up(episode, origin_ns, measured_s, position):
+            return FAILED
+        if not len(moving) or moving[-1] < first:
+            return "without motion"
         last = min(int(moving[-1]) + 7, len(position), first + MOST_PULSES)
         used = slice(first, last)
         difference = 0.0
@@ -238,6 +249,20 @@ class ShiftReader:
             difference,
             self._supply_pa,
         )
+
+    def _gave_up(
+        self, episode: _Episode, origin_ns: int, time_s: Floats, position_m: Floats
+    ) -> bool:
+        """Return whether a gear was commanded for long and not reached before another one was."""
+        ends_ns = [*(at for at, _ in episode.targets[1:]), episode.commands[-1][0]]
+        for (at_ns, target), end_ns in zip(episode.targets, ends_ns, strict=False):
+            begin_s, end_s = ((at - origin_ns) / _NS for at in (at_ns, end_ns))
+            during = position_m[(time_s > begin_s) & (time_s < end_s + 0.05)]
+            gears = {self._gear(float(x)) for x in during}
+            name = GEAR_NAMES.get(target)
+            if end_s - begin_s > GIVEN_UP_S and name is not None and name not in gears:
+                return True
+        return False
 
     def _gear(self, position_m: float) -> str | None:
         for name, at_m in (("N", 0.0), ("B", self._stroke_m), ("F", -self._stroke_m)):

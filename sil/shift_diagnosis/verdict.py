@@ -48,6 +48,8 @@ LARGEST: Final = 10.0
 STRANGE: Final = 3.0
 """Deviation of a truck's own quantity that is not called healthy without doubt."""
 DOUBTED: Final = 0.2
+"""Probability of a healthy truck below which a search goes on."""
+CONSISTENT: Final = 0.5
 """Probability of a healthy truck below which it is not called consistent."""
 SPREAD: Final = 0.1
 """Probability of all causes that are not reported from which it is stated."""
@@ -191,6 +193,15 @@ def weighed(
     return sorted((replace(i, probability=w) for i, w in pairs), key=lambda i: -i.probability)
 
 
+def with_failures(found: ShiftDiagnosis, failed: int) -> ShiftDiagnosis:
+    """Return a diagnosis with the shifts that failed: they stand first, and nothing beside them is healthy."""
+    if not failed:
+        return found
+    text = f"{counted(failed, 'shift')} did not reach the gear commanded"
+    verdict = UNNAMED if found.verdict in ("consistent", "cannot_tell") else found.verdict
+    return replace(found, verdict=verdict, findings=(text, *found.findings))
+
+
 def detectable_of(linear: Linear, ids: int) -> tuple[Detectable, ...]:
     """Return what the shifts show of each cause, from their Fisher information.
 
@@ -268,10 +279,11 @@ def verdict_of(
     ]
     if odd:
         unseen.insert(0, f"healthy only if unusual, in standard deviations: {', '.join(odd)}")
-    if probabilities["healthy"] < DOUBTED:
+    doubted = probabilities["healthy"] < CONSISTENT
+    if doubted:
         shown = ", ".join(f"{name} {p:.2f}" for name, p in wrong.items() if p > 0.05)
         unseen.insert(0, f"too much for a healthy truck, too little for an alarm: {shown}")
-    return ("cannot_tell" if odd or probabilities["healthy"] < DOUBTED else "consistent"), unseen
+    return ("cannot_tell" if odd or doubted else "consistent"), unseen
 
 
 def _spread(wrong: Mapping[str, float]) -> list[str]:

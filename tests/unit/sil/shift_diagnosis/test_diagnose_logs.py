@@ -16,7 +16,8 @@ from sil.shift_diagnosis import page
 from sil.shift_diagnosis.linear import NOISE
 from sil.shift_diagnosis.model import catalogue
 from sil.shift_diagnosis.shifts import RecordedShift
-from sil.shift_diagnosis.verdict import Judged, ShiftDiagnosis
+from sil.shift_diagnosis.verdict import Judged, ShiftDiagnosis, with_failures
+from tests.support.truck_logs import truck_log
 
 
 def diagnosed(log: Path, out: Path) -> tuple[int, dict]:
@@ -111,6 +112,24 @@ def test_a_log_that_is_given_twice_is_refused(
     out = tmp_path / "out"
     assert main(["diagnose", str(nominal_log), str(link), "--out", str(out)]) == 2
     assert f"{link}: given twice; expected each log once" in capsys.readouterr().err
+
+
+def test_shifts_that_fail_stand_first(tmp_path: Path) -> None:
+    log = tmp_path / "blocked.log"
+    truck_log(log, 3, 4, {"plant.mesh_force_n": 20_000.0}, nominal=True)
+    code, found = diagnosed(log, tmp_path / "out")
+    assert (code, found["verdict"]) == (1, "unnamed")
+    assert found["findings"][0].endswith("did not reach the gear commanded")
+    assert found["findings"][0] in found["headline"]
+
+
+@pytest.mark.parametrize("verdict", ["consistent", "cannot_tell", "named"])
+def test_nothing_beside_a_failed_shift_is_healthy(verdict: str) -> None:
+    judged = ShiftDiagnosis(verdict, (), (), {}, (), True, NOISE, ("of its own",), {})
+    found = with_failures(judged, 2)
+    assert found.verdict == ("named" if verdict == "named" else "unnamed")
+    assert found.findings == ("2 shifts did not reach the gear commanded", "of its own")
+    assert with_failures(judged, 0) is judged
 
 
 @pytest.mark.parametrize("is_best", [True, False])
