@@ -9,7 +9,7 @@ import argparse
 import os
 from pathlib import Path
 
-from sil.cli.options import MODEL, SETTINGS, argument, say
+from sil.cli.options import FIRMWARE, MODEL, SETTINGS, argument, say
 
 EXAMPLE = "example: opc4 fmu plant actuator.fmu --scenario lab_n_b --set valve.D_fall=0.02"
 
@@ -21,7 +21,7 @@ ARGUMENTS = (
         "--scenario", "scenario whose values are used [lab_n_b]", "SCENARIO", default="lab_n_b"
     ),
     argument("--force", "replace OUT.fmu"),
-    *(MODEL, SETTINGS),
+    *(FIRMWARE, MODEL, SETTINGS),
 )
 
 

@@ -32,11 +32,15 @@ class Opc4Controller(Fmi3Slave):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         from controller.firmware import Firmware
+        from sil.firmware.frame_steps import FrameSteps
+        from sil.firmware.load import firmware_node
         from sil.fmu.slave import declare, prepare
         from sil.simulation.build import gear_of
 
         scenario = prepare(self).scenario
-        self.firmware = Firmware(scenario.controller)
+        self.firmware: Any = Firmware(scenario.controller)
+        if scenario.firmware:
+            self.firmware = FrameSteps(firmware_node(scenario.firmware, scenario.controller))
         self.period_ns = scenario.controller.period_ns
         self.default_experiment = DefaultExperiment(
             0.0, scenario.duration_s, scenario.controller.period_s

@@ -106,19 +106,21 @@ class _Restricted(pickle.Unpickler):
     """Makes nothing but what a loop consists of: values and records of these packages and of numpy."""
 
     def find_class(self, module: str, name: str) -> Any:
-        package = module.partition(".")[0]
-        found = super().find_class(module, name)
-        pure = module.startswith(("plant.devices.", "sil.nodes."))
-        if package in PACKAGES and (isinstance(found, type) or pure):
-            return found
         if (module, name) == ("builtins", "getattr"):  # of bound methods
             return _method
-        if package in ("numpy", "collections", "random", "array", "_random", "functools"):
-            return found
-        if module in ("copyreg", "msgspec._utils", "msgspec._core", "pathlib", "builtins") and (
-            isinstance(found, type) or name in ("_reconstructor", "__newobj__", "rebuild")
-        ):
-            return found
+        package = module.partition(".")[0]
+        others = ("builtins", "copyreg", "msgspec", "pathlib")
+        if package in (*PACKAGES, *others, "numpy", "collections", "random", "functools"):
+            found = super().find_class(module, name)
+            pure = module.startswith(("plant.devices.", "sil.nodes.")) or package not in (
+                *PACKAGES,
+                *others,
+            )
+            makes = name in ("_reconstructor", "__newobj__", "rebuild")
+            if isinstance(found, type) or pure or makes:
+                return found
+        if (module, name) in (("_operator", "getitem"), ("_operator", "or_")):  # of flags
+            return super().find_class(module, name)
         raise pickle.UnpicklingError(f"{module}.{name}")
 
 
