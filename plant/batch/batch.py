@@ -133,6 +133,7 @@ def drive_of(setup: Setup, end_ns: int) -> Drive:
     conditions = setup.conditions
     m = fresh_modes(conditions.system, conditions.loads())
     m.line = 1 if setup.has_line else 0
+    m.masses = 1 if setup.p.air_kappa > 0.0 else 0
     valves = np.zeros(3)
     for index, name in enumerate(conditions.chambers):
         valves[index] = 1.0 if name in conditions.charged_before else 0.0

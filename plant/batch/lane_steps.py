@@ -57,7 +57,7 @@ FREE_OF = (
     "alpha_speed",
     "adder",
 )
-MODES_FREE_OF = ("damper", "line", "oil_rest", "blocked")
+MODES_FREE_OF = ("damper", "line", "masses", "oil_rest", "blocked")
 lane_parameters = named(Parameters, FREE_OF)
 plain_parameters = named(Parameters, (*FREE_OF, "alpha_v0"))
 lane_modes = named(Modes, MODES_FREE_OF)

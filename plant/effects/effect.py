@@ -22,7 +22,7 @@ Starts = tuple[tuple[float, ...], ...]
 Scope = Literal["unit", "run", "stroke", "instrument"]
 """What an effect belongs to: the actuator, the supply of a whole run, one stroke, an instrument."""
 
-Need = Literal["damper", "internal position", "length stroke", "truck"]
+Need = Literal["damper", "internal position", "length stroke", "process exponents", "truck"]
 """What the strokes of a campaign must have for an effect to show in them."""
 
 

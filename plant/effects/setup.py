@@ -14,7 +14,9 @@ from plant.devices.sensors import InternalChain
 from plant.devices.spool import Spool
 from plant.devices.valve import ValveTiming
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel.layout import FIRST_PRESSURE, FIXED, Parameters
+from plant.equations.fixed_piston import fixed_volumes
+from plant.kernel.compiled import plain
+from plant.kernel.layout import FIRST_PRESSURE, FIXED, FixedState, Parameters
 from plant.kernel.packing import Floats, flow_coefficients, initial_state, pack
 from plant.parameters import ParameterSet, cylinder
 
@@ -83,12 +85,16 @@ class Setup:
             supply_pressure_pa=conditions.supply_pressure_pa,
             atmosphere_pa=conditions.atmosphere_pa,
             load=conditions.loads(),
-            theoretical_flow=conditions.theoretical_flow or is_cylinder,
+            theoretical_flow=conditions.theoretical_flow,
         )
         if is_cylinder:
             rate = parameters.value("cylinder.spring_rate")
             p.f_external -= parameters.value("cylinder.spring_preload") + rate * p.spring_x0
             p.spring_k += rate
+            p.flow_model = 2.0
+            p.t_gas = conditions.temperature_k
+            for key, name in cylinder.PACKED.items():
+                setattr(p, name, parameters.value(key))
         spool = None
         if is_cylinder and "cylinder.valve_frequency" in parameters:
             spool = Spool(*map(parameters.value, cylinder.PROPORTIONAL))
@@ -118,6 +124,12 @@ class Setup:
         first = FIRST_PRESSURE[conditions.system]
         for chamber, pressure in self.residual_pa.items():
             y[..., first + conditions.chambers.index(chamber)] += pressure
+        if self.p.air_kappa > 0.0:
+            p = self.p if p is None else p
+            state = FixedState(y)
+            v_1, v_2 = plain(fixed_volumes)(state, p)
+            state.m_1 = state.p_1 * v_1 / (p.r_air * p.t_gas)
+            state.m_2 = state.p_2 * v_2 / (p.r_air * p.t_gas)
         return y
 
     @property

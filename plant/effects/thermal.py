@@ -17,6 +17,7 @@ from plant.kernel.layout import Parameters
     EffectParameter("share", "-", 0.0, -1.0, 1.0, 0.1),
     EffectParameter("speed_m_s", "m/s", 0.3, 0.001, 20.0, 0.3, optional=True),
     choice("form", "-", 0.0, 0.0, 5.0),
+    needs=("process exponents",),
     variants=tuple(
         Variant(
             name,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
+from statistics import NormalDist
 
 from plant.devices.valve import ValveTiming, seconds_to_ns
 from plant.effects.setup import Setup
@@ -27,19 +28,43 @@ FACTORS: dict[str, tuple[int, ...]] = {
     "flow_out": (Parameters.k_out,),
     "volume_a": (Parameters.vol_b, Parameters.vol_f),
     "volume_b": (Parameters.vol_n,),
+    "breakaway": (Parameters.f_static_s,),
+    "viscous": (Parameters.beta_s,),
+    "mass": (Parameters.m_s,),
+    "spring": (Parameters.spring_k, Parameters.f_external),
 }
 """Quantities that differ by a factor, and the parameters that it scales."""
+
+LIMITED = {
+    "critical": (Parameters.valve_b, 0.1, 0.58),
+    "kappa": (Parameters.air_kappa, 1.0, 1.45),
+    "wall_heat": (Parameters.wall_heat, 0.0, 400.0),
+}
+"""Quantities of a cylinder between two limits: parameter, and limits. They move by the normal
+distribution function, so that a fit of them has no bounds."""
+
+NORMAL = NormalDist()
 
 
 def shift(setup: Setup, name: str, amount: float) -> None:
     """Change one quantity of a setup: times exp(amount), or by seconds for "rise" and "fall".
 
-    Relative amounts add up in logarithms, as those of effects that scale the same do.
+    Relative amounts add up in logarithms, as those of effects that scale the same do. What is `LIMITED`
+    moves by standard deviations of a normal distribution that the limits map to its tails.
     """
     if name == "rise":
         shift_rise(setup, amount)
     elif name == "fall":
         shift_fall(setup, amount)
+    elif name in LIMITED:
+        index, low, high = LIMITED[name]
+        share = (setup.p[index] - low) / (high - low)
+        place = NORMAL.inv_cdf(min(max(share, 1e-6), 1.0 - 1e-6)) + amount
+        setup.p[index] = low + (high - low) * NORMAL.cdf(place)
+    elif name == "volume_b" and setup.p.air_kappa > 0.0:
+        # of a cylinder's volume at the retracted end, what the piston does not sweep
+        swept = setup.p.area_p2 * setup.p.stroke
+        setup.p.vol_n = swept + (setup.p.vol_n - swept) * math.exp(amount)
     else:
         factor = math.exp(amount)
         values = setup.p.array.T

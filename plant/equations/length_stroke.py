@@ -164,13 +164,13 @@ def length_volumes(y, p):
 @inlined
 def length_leaks(t, y, u_b, u_n, u_f, p):
     """Flows into chambers B, N and F that pass no valve [K kg/s]."""
-    one = piston_leak(y.p_b, y.p_n, p)
-    two = piston_leak(y.p_f, y.p_n, p)
+    one = piston_leak(y.p_b, y.p_n, p.t_gas, p)
+    two = piston_leak(y.p_f, y.p_n, p.t_gas, p)
     x = y.x_s
     return (
-        all_leaks(0.0 - one, t, x, y.p_b, u_b, Slot.FLOW_1, p),
-        all_leaks(one + two, t, x, y.p_n, u_n, Slot.FLOW_2, p),
-        all_leaks(0.0 - two, t, x, y.p_f, u_f, Slot.FLOW_3, p),
+        all_leaks(0.0 - one, t, x, y.p_b, p.t_gas, u_b, Slot.FLOW_1, p),
+        all_leaks(one + two, t, x, y.p_n, p.t_gas, u_n, Slot.FLOW_2, p),
+        all_leaks(0.0 - two, t, x, y.p_f, p.t_gas, u_f, Slot.FLOW_3, p),
     )
 
 
@@ -192,9 +192,9 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
     supply = y.p_line if m.line != 0 else p.p_supply
     leak_b, leak_n, leak_f = length_leaks(t, y, u_b, u_n, u_f, p)
     alphas = exponents(max(abs(v_s), abs(v_1), abs(v_2)), p)
-    in_b = chamber(y.p_b, u_b, leak_b, vol_b, rate_b, supply, alphas, p, c)
-    in_n = chamber(y.p_n, u_n, leak_n, vol_n, rate_n, supply, alphas, p, c)
-    in_f = chamber(y.p_f, u_f, leak_f, vol_f, rate_f, supply, alphas, p, c)
+    in_b = chamber(y.p_b, p.t_gas, u_b, leak_b, vol_b, rate_b, supply, alphas, p, c)
+    in_n = chamber(y.p_n, p.t_gas, u_n, leak_n, vol_n, rate_n, supply, alphas, p, c)
+    in_f = chamber(y.p_f, p.t_gas, u_f, leak_f, vol_f, rate_f, supply, alphas, p, c)
     dy.x_s = v_s
     dy.v_s = a_s
     dy.x_1 = v_1
@@ -215,9 +215,9 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
         dy.p_line = p.r_air / p.line_volume * (line_feed(y.p_line, p) - drawn)
     if quadratures:
         q = quadratures_of(dy[LENGTH_STATES:])
-        store_chamber(q, 0, in_b, y.p_b, u_b, rate_b, p)
-        store_chamber(q, 1, in_n, y.p_n, u_n, rate_n, p)
-        store_chamber(q, 2, in_f, y.p_f, u_f, rate_f, p)
+        store_chamber(q, 0, in_b, y.p_b, p.t_gas, u_b, rate_b, p)
+        store_chamber(q, 1, in_n, y.p_n, p.t_gas, u_n, rate_n, p)
+        store_chamber(q, 2, in_f, y.p_f, p.t_gas, u_f, rate_f, p)
         d = m.stay
         loss = stay_sliding(y.x_s, v_s, d, p) * d * v_s if d != 0 else 0.0
         q.friction = loss + piston_loss(y, m, 0, p) + piston_loss(y, m, 1, p)

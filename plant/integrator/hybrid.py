@@ -29,7 +29,15 @@ from plant.kernel.layout import (
     Quadratures,
     pressure_slice,
 )
-from plant.kernel.packing import FIRST_STEP_S, Floats, Load, fresh_modes, scales, state_record
+from plant.kernel.packing import (
+    FIRST_STEP_S,
+    STATE_COUNTS,
+    Floats,
+    Load,
+    fresh_modes,
+    scales,
+    state_record,
+)
 
 NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
@@ -112,11 +120,12 @@ class HybridSystem:
         self._run.array[: len(y)] = y
         self._length = len(y)
         self._control.modes = fresh_modes(system, load).array
+        Modes(self._control.modes).masses = 1 if p.air_kappa > 0.0 else 0
         self._view()
         self._m.line = 1 if has_line else 0
         run, control = self._run, self._control
         run.tolerance = tolerance
-        run.scale[: self._n] = scales(system)
+        run.scale[: self._state.size] = scales(system)
         for index, name in enumerate(self.chambers):
             run.u0[index] = 1.0 if name in charged else 0.0
         run.wanted = FIRST_STEP_S
@@ -133,8 +142,8 @@ class HybridSystem:
         """Name the parts of the arrays, and make the memory that keeps nothing."""
         self._y = self._run.array[: self._length]
         self._state: Any = state_record(self._system)(self._y)
-        self._n = self._state.size
         self._m = Modes(self._control.modes)
+        self._n = self._state.size if self._m.masses else STATE_COUNTS[self._system][2]
         # stick-slip between closed chambers makes hundreds of events in a quarter second
         self._record = np.zeros((2000, EventRow.size))
 

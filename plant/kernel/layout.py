@@ -25,6 +25,8 @@ class FixedState(Record):
     p_2: Value
     p_oil: Value  # pressure of the damper's chamber two [Pa]
     p_line: Value  # pressure of the supply line [Pa]
+    m_1: Value  # mass of air in the chambers of a cylinder (`Modes.masses`) [kg]
+    m_2: Value
 
 
 class LengthState(Record):
@@ -99,6 +101,7 @@ class Modes(Record):
     system: Value  # FIXED or LENGTH
     oil_rest: Value  # compressible damper: 1 while its pressure is that of the atmosphere
     line: Value  # 1: the supply line has a volume and a restriction
+    masses: Value  # 1: a cylinder, whose chambers keep a balance of mass and one of energy
     inside: Value  # 1 while the stay is between the synchronizer's two blocking positions
     side: Value  # +1 / -1: side of neutral on which the length stroke's damper acts
     # sides of the corners of the damper's law: 1 before them (`plant.parts.damper.damper_borders`)
@@ -134,11 +137,14 @@ class Parameters(Record):
     alpha_2: Value = given("alpha.alpha_2")
     k_in: Value  # factor on all charge flows
     k_out: Value  # factor on all discharge flows
-    flow_model: Value  # 0 mapped, 1 orifice (3.13, 3.20)
+    flow_model: Value  # 0 mapped, 1 orifice (3.13, 3.20), 2 ISO 6358
     cda_in: Value
     cda_out: Value
     closed_centre: Value  # 1: proportional valves, closed at u = 0.5
     gamma: Value = given("gas.gamma")
+    valve_b: Value  # critical pressure ratio of a cylinder's valves
+    air_kappa: Value  # exponent of a cylinder's chambers; 0: those of the thesis
+    wall_heat: Value  # heat transfer coefficient of a cylinder's walls [W/(m^2 K)]
     # geometry
     stroke: Value = given("fixed.stroke", "length.stroke")
     x_free: Value = given("", "length.x_free_total")

@@ -29,9 +29,10 @@ FIRST_STEP_S = 1e-4
 CHAMBER_NAMES = (("1", "2"), ("B", "N", "F"))
 # Leading states that are integrated: without oil and supply line, with oil, with the line.
 STATE_COUNTS = (
-    (FixedState.p_2 + 1, FixedState.p_oil + 1, FixedState.size),
+    (FixedState.p_2 + 1, FixedState.p_oil + 1, FixedState.p_line + 1),
     (LengthState.impulse + 1, LengthState.p_oil + 1, LengthState.size),
 )
+CYLINDER_STATES = FixedState.size
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,8 @@ def pack(
 def scales(system: int) -> Floats:
     """Return the typical size of each state [states], in its SI unit, for the error control."""
     body = [0.01, 1.0]
-    return np.array(
-        [*body, *[1e5] * 4] if system == FIXED else [*body * 3, *[1e5] * 3, 1.0, 1e5, 1e5]
-    )
+    fixed = [*body, *[1e5] * 4, 1e-4, 1e-4]
+    return np.array(fixed if system == FIXED else [*body * 3, *[1e5] * 3, 1.0, 1e5, 1e5])
 
 
 def fresh_modes(system: int, load: Load) -> Modes:
@@ -127,7 +127,9 @@ def fresh_modes(system: int, load: Load) -> Modes:
 
 
 def active_states(system: int, m: Modes) -> int:
-    """How many leading states are integrated: oil and supply line only where they exist."""
+    """How many leading states are integrated: oil, supply line and masses only where they exist."""
+    if m.masses != 0:
+        return CYLINDER_STATES
     counts = STATE_COUNTS[system]
     if m.line != 0:
         return counts[2]
@@ -147,7 +149,8 @@ def initial_state(
     p: of one stroke, or of several for states [strokes, states].  Chambers named in `charged` are at
     the supply pressure, the others at the atmosphere's.
     """
-    size = FixedState.size if system == FIXED else LengthState.size
+    record = state_record(system)
+    size = record.size
     atmosphere, supply = p.p_atm, p.p_supply
     single = p.array.ndim == 1
     state = np.zeros(size + quadratures if single else (size + quadratures, len(p.array)))
@@ -157,8 +160,8 @@ def initial_state(
         stroke = np.minimum(p.stroke + p.stop_offset, p.x_free)
         state[LengthState.x_s] = stroke if position == "B" else -stroke
         state[LengthState.x_1 if position == "B" else LengthState.x_2] = stroke + p.x_free
-    state[FixedState.p_oil if system == FIXED else LengthState.p_oil] = atmosphere
-    state[size - 1] = supply
+    state[record.p_oil] = atmosphere
+    state[record.p_line] = supply
     for index, name in enumerate(CHAMBER_NAMES[system], FIRST_PRESSURE[system]):
         state[index] = supply if name in charged else atmosphere
     return state if single else np.ascontiguousarray(state.T)

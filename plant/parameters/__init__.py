@@ -19,10 +19,13 @@ import msgspec
 from can_dbc.errors import nearest
 from can_dbc.typed_toml import convert, read_toml
 from plant.errors import InputError
-from plant.parameters import cylinder
+from plant.parameters import calibration, cylinder
 from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
+
+OPTIONAL = cylinder.UNITS | calibration.UNITS
+"""Unit of every parameter that a set may lack."""
 
 
 class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -181,7 +184,7 @@ def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> 
         for key, item in table.items()
     }
     possible = dict(base.entries if base else given if name == "nominal" else load().entries)
-    possible |= {path: Parameter(0.0, unit, "cylinder") for path, unit in cylinder.UNITS.items()}
+    possible |= {path: Parameter(0.0, unit, "optional") for path, unit in OPTIONAL.items()}
     for path, item in given.items():
         if path not in possible:
             raise InputError(unknown_path(path, possible, name))
@@ -195,7 +198,7 @@ def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> 
         return ParameterSet(name, entries, {**base.effects, **effects})
     given = {"length.F_bond": possible["length.F_bond"]} | given  # a full set may leave it out
     for path in possible:
-        if path not in given and path not in cylinder.UNITS:
+        if path not in given and path not in OPTIONAL:
             raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
     return ParameterSet(name, complete(given, name), effects)
 
@@ -212,7 +215,12 @@ def complete(entries: Mapping[str, Parameter], name: str) -> dict[str, Parameter
         if path in cylinder.UNITS and not isinstance(item.value, tuple)
     }
     for path, value in cylinder.derived(stated, name).items() if stated else ():
-        completed[path] = Parameter(value, completed[path].unit, "computed from [cylinder]")
+        if path in cylinder.USUAL:
+            usual = Parameter(value, cylinder.UNITS[path], "usual value")
+            completed.setdefault(path, usual)
+        else:
+            unit = completed[path].unit
+            completed[path] = Parameter(value, unit, "computed from [cylinder]")
     return completed
 
 

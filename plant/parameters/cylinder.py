@@ -24,24 +24,40 @@ UNITS = {
     "cylinder.viscous": "N s/m",
     "cylinder.spring_rate": "N/m",
     "cylinder.spring_preload": "N",
+    "cylinder.valve_c_in": "m^3/(s Pa)",
+    "cylinder.valve_c_out": "m^3/(s Pa)",
     "cylinder.valve_cda_in": "m^2",
     "cylinder.valve_cda_out": "m^2",
+    "cylinder.valve_b": "-",
+    "cylinder.wall_heat": "W/(m^2 K)",
+    "cylinder.kappa": "-",
     "cylinder.tube_length": "m",
     "cylinder.tube_diameter": "m",
     "cylinder.valve_frequency": "Hz",
     "cylinder.valve_damping": "-",
     "cylinder.valve_dead_zone": "-",
 }
-"""Every value of the section, all required but those of `PROPORTIONAL`.
+"""Every value of the section, all required but those of `PROPORTIONAL` and `USUAL`.
 
 acting: 1 single (the rod's side is open to the air, spring return), 2 double; bore, rod: diameters;
 dead volumes: of chamber 1 (behind the piston) and 2 (on the rod's side) at the retracted end, without
-tubes; spring: pushes back with preload + rate x; valve_cda: C_d A of the valve's inlet and outlet;
-tube: from the valve to each chamber, length 0 for none; valve_frequency, damping (0: first order) and
+tubes; spring: pushes back with preload + rate x; valve_c: sonic conductance C of the valve's inlet
+and outlet, or valve_cda: the same as C_d A; valve_b: its critical pressure ratio (ISO 6358); wall_heat:
+heat transfer coefficient of the walls; kappa: ratio of the air's specific heats; tube: from the valve to each chamber, length 0 for none; valve_frequency, damping (0: first order) and
 dead_zone: of a proportional valve's spool (`plant.devices.spool`), without them the valves are on/off.
 """
 
 PROPORTIONAL = ("cylinder.valve_frequency", "cylinder.valve_damping", "cylinder.valve_dead_zone")
+USUAL = {"cylinder.valve_b": 0.5, "cylinder.wall_heat": 40.0, "cylinder.kappa": 1.4}
+"""Values that a data sheet may leave out. Few valves lie outside b = 0.2 to 0.5, and few cylinders outside
+h = 10 to 120 W/(m^2 K) (Carneiro and de Almeida 2006)."""
+PACKED = dict(zip(USUAL, ("valve_b", "wall_heat", "air_kappa"), strict=True))
+"""The same values by their names in the packed parameters."""
+RANGES = {"valve_b": (0.0, 0.9), "wall_heat": (0.0, 1e4), "kappa": (1.0, 1.7)}
+CHOKED = 0.6847314563772704
+"""Flow function of a choked orifice, sqrt(g (2 / (g + 1))^((g + 1) / (g - 1))) of g = 1.4."""
+ROOT_RT0 = sqrt(287.05 * 293.15)
+"""sqrt(R T_0) of ISO 6358's reference air, whose density is 1.185 kg/m^3."""
 
 
 def tube_area(length_m: float, diameter_m: float) -> float:
@@ -56,6 +72,11 @@ def tube_area(length_m: float, diameter_m: float) -> float:
     return area / sqrt(0.02 * length_m / diameter_m + 1.5)
 
 
+def area_of(conductance: float) -> float:
+    """Return the C_d A of a sonic conductance C [m^2]: the choked orifice that passes as much air."""
+    return conductance * 1.185 * ROOT_RT0 / CHOKED
+
+
 def in_series(one: float, two: float) -> float:
     """Return the C_d A of two restrictions one behind the other [m^2]."""
     return 1.0 / sqrt(1.0 / one**2 + 1.0 / two**2)
@@ -67,13 +88,24 @@ def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
     Raises InputError for a section that is not complete or impossible; `name` is the set's.
     """
     stated = [path for path in UNITS if path in values]
-    expected = [
-        path for path in UNITS if path not in PROPORTIONAL or set(stated) & set(PROPORTIONAL)
-    ]
+    optional = {*USUAL, *("cylinder.valve_cda_in", "cylinder.valve_cda_out")}
+    if not set(stated) & set(PROPORTIONAL):
+        optional |= set(PROPORTIONAL)
+    given = {path.replace("valve_cda_", "valve_c_") for path in stated}
+    expected = [path for path in UNITS if path not in optional]
     for path in expected:
-        if path not in stated:
+        if path not in given:
             raise InputError(f"{name}: no {path}; expected all of {', '.join(expected)}")
-    v = {path.removeprefix("cylinder."): value for path, value in values.items()}
+    v = {path.removeprefix("cylinder."): value for path, value in (USUAL | dict(values)).items()}
+    for end in ("in", "out"):
+        if f"valve_c_{end}" in v and f"valve_cda_{end}" in v:
+            both = f"cylinder.valve_c_{end} and valve_cda_{end}"
+            raise InputError(f"{name}: {both}: the same in two units; expected one of them")
+        if f"valve_c_{end}" in v:
+            v[f"valve_cda_{end}"] = area_of(v[f"valve_c_{end}"])
+    for key, (low, high) in RANGES.items():
+        if not low <= v[key] <= high:
+            raise InputError(f"{name}: cylinder.{key}: {v[key]:g}; expected {low:g} to {high:g}")
     positive = ("bore", "stroke", "dead_volume_1", "valve_cda_in", "valve_cda_out")
     for key in (*positive, *(("tube_diameter",) if v["tube_length"] > 0.0 else ())):
         if not v[key] > 0.0:
@@ -94,6 +126,7 @@ def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
     tube = tube_area(v["tube_length"], v["tube_diameter"])
     charge, discharge = in_series(v["valve_cda_in"], tube), in_series(v["valve_cda_out"], tube)
     return {
+        **{path: v[path.removeprefix("cylinder.")] for path in USUAL},
         "fixed.stroke": v["stroke"],
         "fixed.r_piston": 0.5 * v["bore"],
         "fixed.r_stay": 0.5 * v["rod"],

@@ -1,33 +1,40 @@
 """A chamber with one 3/2 valve: flows, leaks, process exponents and pressure (thesis 3.11, 3.23).
 
-Every chamber of both actuators, moving or at rest, computed in steps or in closed form.
+Every chamber of both actuators, moving or at rest, computed in steps or in closed form. The air of a
+cylinder's chamber has a temperature of its own, by balances of mass and energy; that of the thesis's
+actuator has the supply's, and its exponents stand for the heat.
 """
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, pi, sqrt
 
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
 from plant.kernel.views import unlikely
-from plant.parts.flow import charge, discharge, orifice
+from plant.parts.flow import charge, discharge, iso_6358, orifice
 from plant.parts.term import added, not_negative
 
 
 @inlined
-def valve_flow_in(pressure, supply, p, c):
-    """Return the charge flow at u = 1 by the selected flow model, with the factor of this unit [K kg/s]."""
+def valve_flow_in(pressure, supply, kelvin, p, c):
+    """Return the charge flow at u = 1 by the selected flow model, with the factor of this unit [K kg/s].
+
+    kelvin: temperature of the chamber, for what flows back.
+    """
     factor = p.k_in
     if unlikely(p.adder != 0.0):
         share = added(Slot.CHARGE, 0.0, 0.0, 0.0, 0.0, pressure / supply, p)
         factor *= not_negative(1.0 + share)
     if p.flow_model == 0.0:
         return factor * charge(pressure, supply, c)
+    if p.flow_model == 2.0:
+        return factor * iso_6358(supply, pressure, p.cda_in, p.valve_b, p.t_gas, kelvin, p.r_air)
     return factor * orifice(supply, pressure, p.cda_in, p.t_gas, p.gamma, p.r_air)
 
 
 @inlined
-def valve_flow_out(pressure, p, c):
+def valve_flow_out(pressure, kelvin, p, c):
     """Return the discharge flow at u = 0 by the selected flow model [K kg/s]."""
     factor = p.k_out
     if unlikely(p.adder != 0.0):
@@ -35,29 +42,42 @@ def valve_flow_out(pressure, p, c):
         factor *= not_negative(1.0 + share)
     if p.flow_model == 0.0:
         return factor * discharge(pressure, p.p_atm, c)
+    if p.flow_model == 2.0:
+        return factor * iso_6358(pressure, p.p_atm, p.cda_out, p.valve_b, kelvin, p.t_gas, p.r_air)
     return factor * orifice(pressure, p.p_atm, p.cda_out, p.t_gas, p.gamma, p.r_air)
 
 
 @inlined
-def piston_leak(pressure, other, p):
-    """Return the flow past a piston from a chamber to its neighbour [K kg/s]."""
-    if p.leak_piston == 0.0:
-        return 0.0
-    return orifice(pressure, other, p.leak_piston, p.t_gas, p.gamma, p.r_air)
+def leak(pressure, other, cda, kelvin, p):
+    """Return the flow through a gap C_d A: an orifice; for a cylinder by ISO 6358 with b = 0.5 [K kg/s]."""
+    if p.flow_model == 2.0:
+        return iso_6358(pressure, other, cda, 0.5, kelvin, kelvin, p.r_air)
+    return orifice(pressure, other, cda, kelvin, p.gamma, p.r_air)
 
 
 @inlined
-def all_leaks(leak, t, x, pressure, u, slot, p):
+def piston_leak(pressure, other, kelvin, p):
+    """Return the flow past a piston from a chamber to its neighbour [K kg/s].
+
+    kelvin: temperature of the air that flows.
+    """
+    if p.leak_piston == 0.0:
+        return 0.0
+    return leak(pressure, other, p.leak_piston, kelvin, p)
+
+
+@inlined
+def all_leaks(past_pistons, t, x, pressure, kelvin, u, slot, p):
     """Return the flow into a chamber that passes no valve [K kg/s].
 
-    leak: that past the pistons; slot: of the terms that add to it.
+    past_pistons: a part of it; kelvin: temperature of the chamber; slot: of the terms that add to it.
     """
     if p.leak_atm != 0.0:
-        leak -= u * orifice(pressure, p.p_atm, p.leak_atm, p.t_gas, p.gamma, p.r_air)
+        past_pistons -= u * leak(pressure, p.p_atm, p.leak_atm, kelvin, p)
     if unlikely(p.adder != 0.0):
-        leak += added(slot, t, x, 0.0, u, pressure, p)
-        leak -= added(Slot.LEAK, t, x, 0.0, u, pressure, p)
-    return leak
+        past_pistons += added(slot, t, x, 0.0, u, pressure, p)
+        past_pistons -= added(Slot.LEAK, t, x, 0.0, u, pressure, p)
+    return past_pistons
 
 
 @inlined
@@ -100,17 +120,18 @@ def openings(u, p):
 
 
 @inlined
-def chamber(pressure, u, leak, volume, volume_rate, supply, alphas, p, c):
+def chamber(pressure, kelvin, u, leak, volume, volume_rate, supply, alphas, p, c):
     """Return dP/dt = (R (am1 u f_in - am2 (1-u) f_out + leak) - alpha P dV/dt) / V   [Pa/s].
 
     Also f_in and f_out [K kg/s], R times the sum of flows [W], and alpha = u a1 + (1-u) a2.
-    `u` is the actual valve position, 1 = supply, 0 = atmosphere; the exponents follow it.
+    `u` is the actual valve position, 1 = supply, 0 = atmosphere; the exponents follow it; `kelvin`
+    the temperature of its air.
     Source: thesis 3.23, 3.57-3.60.  Checked by: tests/physics/test_chamber.py
     """
     am1, a1, am2, a2 = alphas
     opened, vented = openings(u, p)
-    flow_in = valve_flow_in(pressure, supply, p, c) if opened > 0.0 else 0.0
-    flow_out = valve_flow_out(pressure, p, c) if vented > 0.0 else 0.0
+    flow_in = valve_flow_in(pressure, supply, kelvin, p, c) if opened > 0.0 else 0.0
+    flow_out = valve_flow_out(pressure, kelvin, p, c) if vented > 0.0 else 0.0
     gas = p.r_air * (am1 * opened * flow_in - am2 * vented * flow_out + leak)
     alpha = u * a1 + (1.0 - u) * a2
     rate = pressure_rate(pressure, gas, alpha, volume, volume_rate)
@@ -118,7 +139,38 @@ def chamber(pressure, u, leak, volume, volume_rate, supply, alphas, p, c):
 
 
 @inlined
-def store_chamber(q, j, flows, pressure, u, volume_rate, p):
+def temperature(pressure, volume, mass, p):
+    """Return the temperature of a cylinder's chamber, P V / (m R) [K]."""
+    return pressure * volume / (mass * p.r_air)
+
+
+@inlined
+def energy_source(leak, volume, kelvin, p):
+    """Return what leaks and walls do to the energy of a cylinder's chamber, over R [K kg/s].
+
+    kappa leak + (kappa - 1) h A (T_wall - T) / R; the walls have the supply's temperature, and their
+    area is that of a cylinder of the piston's bore and the chamber's volume.
+    """
+    area = 2.0 * p.area_p + 2.0 * volume * sqrt(pi / p.area_p)
+    heat_w = p.wall_heat * area * (p.t_gas - kelvin)
+    return p.air_kappa * leak + (p.air_kappa - 1.0) * heat_w / p.r_air
+
+
+@inlined
+def mass_rate(flows, leak, u, kelvin, p):
+    """Return dm/dt of a cylinder's chamber [kg/s]: each flow over the temperature it comes with.
+
+    flows: what `chamber` returned; leak: T m_dot into the chamber beside its valve, which from
+    outside has the supply's temperature.
+    """
+    opened, vented = openings(u, p)
+    inward = opened * flows[1] / (p.t_gas if flows[1] > 0.0 else kelvin)
+    outward = vented * flows[2] / (kelvin if flows[2] > 0.0 else p.t_gas)
+    return inward - outward + leak / (p.t_gas if leak > 0.0 else kelvin)
+
+
+@inlined
+def store_chamber(q, j, flows, pressure, kelvin, u, volume_rate, p):
     """Store the rates of chamber j's quadratures, from what `chamber` returned."""
     _, flow_in, flow_out, gas, alpha = flows
     q.gas[j] = gas
@@ -126,7 +178,7 @@ def store_chamber(q, j, flows, pressure, u, volume_rate, p):
     q.work[j] = pressure * volume_rate
     opened, vented = openings(u, p)
     q.mass_in[j] = opened * flow_in / p.t_gas
-    q.mass_out[j] = vented * flow_out / p.t_gas
+    q.mass_out[j] = vented * flow_out / kelvin
 
 
 @inlined

@@ -1,7 +1,8 @@
 """Flow of mass and temperature, epsilon = T m_dot, through a valve (thesis 3.1.4).
 
 `charge` and `discharge` are the mapped flows (two polynomials each, in the pressure ratio);
-`orifice` is the theoretical flow 3.13/3.20 with its erratum corrected.
+`orifice` is the theoretical flow 3.13/3.20 with its erratum corrected; `iso_6358` that of a
+pneumatic component by its data sheet.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from math import sqrt
 
 from plant.kernel.compiled import inlined
+from plant.parameters.cylinder import CHOKED
 
 
 @inlined
@@ -79,3 +81,28 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
             share = (1.0 - ratio) / 0.001
             value *= share * (1.25 - 0.25 * share * share)
     return sign * cda_m2 * high * sqrt(temperature_k / r_air) * value
+
+
+@inlined
+def iso_6358(upstream_pa, downstream_pa, cda_m2, critical, upstream_k, downstream_k, r_air):
+    """Return T m_dot of a valve by ISO 6358 [K kg/s]; antisymmetric when the pressures change places.
+
+    The conductance C is that of a choked orifice C_d A; below the critical pressure ratio b the flow
+    is constant, above it follows the ellipse sqrt(1 - ((r - b) / (1 - b))^2).  T is that of the side
+    the air comes from.  Next to equal pressures as in `orifice`.
+
+    Source: ISO 6358-1.  Checked by: tests/physics/test_cylinder.py
+    """
+    if upstream_pa >= downstream_pa:
+        high, low, kelvin, sign = upstream_pa, downstream_pa, upstream_k, 1.0
+    else:
+        high, low, kelvin, sign = downstream_pa, upstream_pa, downstream_k, -1.0
+    ratio = low / high
+    value = CHOKED
+    if ratio > critical:
+        beyond = (min(ratio, 0.999) - critical) / (1.0 - critical)
+        value *= sqrt(1.0 - beyond * beyond)
+    if ratio > 0.999:
+        share = (1.0 - ratio) / 0.001
+        value *= share * (1.25 - 0.25 * share * share)
+    return sign * cda_m2 * high * sqrt(kelvin / r_air) * value

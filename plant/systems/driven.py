@@ -57,7 +57,7 @@ def chamber_along(time, volume, start, moves, p, c, out):
                     position = u + slope * (at - since)
                     at_volume = volume[i - 1] + rate * (at - time[i - 1])
                     slope_before = chamber(
-                        value, position, 0.0, at_volume, rate, p.p_supply, alphas, p, c
+                        value, p.t_gas, position, 0.0, at_volume, rate, p.p_supply, alphas, p, c
                     )[0]
                     total += slope_before if part == 0.0 or part == 1.0 else 2.0 * slope_before
                 pressure += h * total / 6.0

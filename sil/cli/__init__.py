@@ -27,6 +27,7 @@ COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
     "compare": "compare runs: metrics, traces over each other, events that differ",
     "simulate": "simulate the plant alone, under the conditions of a measurement campaign",
+    "calibrate": "fit a model to healthy measurements of one unit: the baseline of its diagnoses",
     "diagnose": "compare measurements with the simulation and name the cause of a difference",
     "replay": "feed a recorded log into the firmware and compare; shifts of a truck's log",
     "whatif": "run a study: sweep any values of model, firmware, sensor and bus",

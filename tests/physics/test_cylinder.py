@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import InputError
+from plant.kernel.layout import FixedState
 from plant.parameters import load
 from plant.systems.stroke import simulate
 from sil.simulation import load_scenario
@@ -33,13 +34,19 @@ VALUES = {
     "tube_length": (1.0, "m"),
     "tube_diameter": (0.004, "m"),
 }
+OPTIONAL = {"valve_c_in": "m^3/(s Pa)", "valve_b": "-", "wall_heat": "W/(m^2 K)", "kappa": "-"}
 TIME_S = np.linspace(0.0, 0.3, 301)
 P_ATM, SUPPLY = 101325.0, 7e5
 
 
 def model(folder: Path, **changes: float) -> Path:
     lines = ["[base]", 'model = "nominal"', "[cylinder]"]
-    for name, (value, unit) in VALUES.items():
+    stated = VALUES | {
+        name: (changes[name], OPTIONAL[name]) for name in OPTIONAL if name in changes
+    }
+    if "valve_c_in" in changes:
+        del stated["valve_cda_in"]
+    for name, (value, unit) in stated.items():
         lines.append(
             f'{name} = {{ value = {changes.get(name, value)!r}, unit = "{unit}", source = "test" }}'
         )
@@ -53,40 +60,59 @@ def extend(supply_pa: float = SUPPLY) -> StrokeConditions:
 
 
 def by_scipy(acting: float) -> np.ndarray:
-    """Position of the extending cylinder [n] in m, from the equations as a textbook has them."""
+    """Position of the extending cylinder [n] in m, from the equations as a textbook has them.
+
+    States: position, speed, and mass and internal energy of the air in each chamber.
+    """
     v = {name: value for name, (value, _unit) in VALUES.items()}
-    nominal = load()
-    gas, gamma, t = nominal.value("gas.R_air"), nominal.value("gas.gamma"), nominal.value("gas.T")
-    am1, a1 = nominal.value("alpha.alpha_m1"), nominal.value("alpha.alpha_1")
-    am2, a2 = nominal.value("alpha.alpha_m2"), nominal.value("alpha.alpha_2")
+    gas, t0 = load().value("gas.R_air"), 293.15
+    kappa, b, h = 1.4, 0.5, 40.0
+    cv = gas / (kappa - 1.0)
     bore, rod = pi / 4 * v["bore"] ** 2, pi / 4 * v["rod"] ** 2
     tube = pi / 4 * v["tube_diameter"] ** 2
     tube_cda = tube / sqrt(0.02 * v["tube_length"] / v["tube_diameter"] + 1.5)
     series = {k: 1 / sqrt(v[f"valve_cda_{k}"] ** -2 + tube_cda**-2) for k in ("in", "out")}
     held = tube * v["tube_length"]
-    critical = (2 / (gamma + 1)) ** (gamma / (gamma - 1))
+    ring = 0.0 if acting == 1.0 else bore - rod
 
-    def flow(up: float, down: float, cda: float) -> float:
+    def flow(up: float, t_up: float, down: float, t_down: float, cda: float) -> tuple[float, float]:
+        """Mass flow and the temperature that it has."""
         if up < down:
-            return -flow(down, up, cda)
-        r = max(down / up, critical)
-        psi = sqrt(
-            max(2 * gamma / (gamma - 1) * (r ** (2 / gamma) - r ** ((gamma + 1) / gamma)), 0.0)
-        )
-        return cda * up * sqrt(t / gas) * psi
+            mass, kelvin = flow(down, t_down, up, t_up, cda)
+            return -mass, kelvin
+        beyond = max(0.0, (min(down / up, 0.999) - b) / (1 - b))
+        return 0.6847314563772704 * cda * up * sqrt((1 - beyond**2) / (gas * t_up)), t_up
+
+    def chamber(
+        p: float, t: float, volume: float, dv: float, passed: tuple[float, float]
+    ) -> list[float]:
+        mass, kelvin = passed
+        walls = 2 * bore + 4 * volume / v["bore"]
+        heat = h * walls * (t0 - t)
+        return [mass, mass * kappa * cv * kelvin - p * dv + heat]
 
     def rates(_t: float, y: np.ndarray) -> list[float]:
-        x, speed, p1, p2 = y
-        ring = 0.0 if acting == 1.0 else bore - rod
+        x, speed, m1, u1, m2, u2 = y
+        v1 = v["dead_volume_1"] + held + bore * x
+        v2 = v["dead_volume_2"] + held + (bore - rod) * v["stroke"] - ring * x
+        p1, p2 = (kappa - 1) * u1 / v1, (kappa - 1) * u2 / v2
+        t1, t2 = u1 / (m1 * cv), u2 / (m2 * cv)
         force = (p1 - P_ATM) * bore - (p2 - P_ATM) * ring
         force -= v["spring_preload"] + v["spring_rate"] * x
         net = force - v["coulomb"] - v["viscous"] * speed
         moves = speed > 0.0 or force > v["breakaway"]
-        v1 = v["dead_volume_1"] + held + bore * x
-        v2 = v["dead_volume_2"] + held + (bore - rod) * (v["stroke"] - x)
-        d1 = (gas * am1 * flow(SUPPLY, p1, series["in"]) - a1 * p1 * bore * speed) / v1
-        d2 = (-gas * am2 * flow(p2, P_ATM, series["out"]) + a2 * p2 * ring * speed) / v2
-        return [speed, net / v["mass"] if moves else 0.0, d1, d2]
+        out, kelvin = flow(p2, t2, P_ATM, t0, series["out"])
+        one = chamber(p1, t1, v1, bore * speed, flow(SUPPLY, t0, p1, t1, series["in"]))
+        two = chamber(p2, t2, v2, -ring * speed, (-out, kelvin))
+        return [speed, net / v["mass"] if moves else 0.0, *one, *two]
+
+    volumes = (
+        v["dead_volume_1"] + held,
+        v["dead_volume_2"] + held + (bore - rod) * v["stroke"],
+    )
+    air = [
+        x for volume in volumes for x in (P_ATM * volume / (gas * t0), P_ATM * volume / (kappa - 1))
+    ]
 
     def arrives(_t: float, y: np.ndarray) -> float:
         return float(y[0] - v["stroke"])
@@ -94,7 +120,7 @@ def by_scipy(acting: float) -> np.ndarray:
     arrives.terminal = True  # type: ignore[attr-defined]
     begin = 0.01 + load().value("valve.D_rise")
     found = solve_ivp(
-        rates, (begin, 0.3), [0.0, 0.0, P_ATM, P_ATM], events=arrives, rtol=1e-8, atol=1e-9,
+        rates, (begin, 0.3), [0.0, 0.0, *air], events=arrives, rtol=1e-8, atol=1e-12,
         max_step=1e-4, dense_output=True,
     )  # fmt: skip
     end = float(found.t_events[0][0])
@@ -108,6 +134,49 @@ def test_a_cylinder_moves_as_its_equations_say(tmp_path, acting) -> None:
     stroke = simulate(load(model(tmp_path, acting=acting)), extend(), TIME_S)
     assert stroke.balance.closed and stroke.impact is not None
     assert np.abs(stroke.position_m - by_scipy(acting)).max() < 5e-5
+
+
+def filled(folder: Path, supply_pa: float, **changes: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pressure [n] in Pa and mass [n] in kg of chamber 1, held in place, at `TIME_S`."""
+    stroke = simulate(load(model(folder, breakaway=1e6, **changes)), extend(supply_pa), TIME_S)
+    assert stroke.balance.closed and stroke.position_m.max() == 0.0
+    return stroke.states[:, FixedState.p_1], stroke.states[:, FixedState.m_1]
+
+
+@pytest.mark.parametrize("kappa", [1.4, 1.0])
+def test_a_chamber_fills_by_the_choked_flow_of_the_conductance(tmp_path, kappa) -> None:
+    changes = {"kappa": kappa, "wall_heat": 0.0, "valve_c_in": 2e-9, "tube_length": 0.0}
+    pressure, mass = filled(tmp_path, SUPPLY, **changes)
+    choked = (TIME_S > 0.02) & (pressure < 0.5 * SUPPLY)
+    per_s = 2e-9 * 1.185 * SUPPLY  # C rho_0 p_1, at T_0
+    slope = np.diff(mass[choked]) / np.diff(TIME_S[choked])
+    assert slope == pytest.approx(per_s, rel=1e-6)
+    gas, volume = load().value("gas.R_air"), 5e-6
+    slope = np.diff(pressure[choked]) / np.diff(TIME_S[choked])
+    # adiabatic: the air brings its enthalpy; kappa 1: it keeps the temperature
+    assert slope == pytest.approx(kappa * gas * 293.15 * per_s / volume, rel=1e-6)
+
+
+def test_a_filled_chamber_is_as_warm_as_its_energy_says_and_cools_to_the_walls(tmp_path) -> None:
+    gas, volume = load().value("gas.R_air"), 5e-6 + pi / 4 * 0.004**2
+    pressure, mass = filled(tmp_path, SUPPLY, wall_heat=0.0)
+    before = P_ATM * volume / (gas * 293.15)
+    cv = gas / 0.4
+    energy = before * cv * 293.15 + (mass[-1] - before) * 1.4 * cv * 293.15
+    kelvin = pressure[-1] * volume / (mass[-1] * gas)
+    assert kelvin == pytest.approx(energy / (mass[-1] * cv), rel=1e-5) and kelvin > 350.0
+    cooled = filled(tmp_path, SUPPLY, wall_heat=5e3)
+    assert cooled[0][-1] * volume / (cooled[1][-1] * gas) == pytest.approx(293.15, abs=0.5)
+
+
+@pytest.mark.parametrize("b", [0.2, 0.5])
+def test_the_flow_is_an_ellipse_beyond_the_critical_ratio(tmp_path, b) -> None:
+    changes = {"kappa": 1.0, "wall_heat": 0.0, "valve_c_in": 2e-9, "tube_length": 0.0, "valve_b": b}
+    pressure, mass = filled(tmp_path, SUPPLY, **changes)
+    middle, ratio = np.gradient(mass, TIME_S), pressure / SUPPLY
+    free = (ratio > b + 0.05) & (ratio < 0.95)
+    expected = 2e-9 * 1.185 * SUPPLY * np.sqrt(1 - ((ratio[free] - b) / (1 - b)) ** 2)
+    assert free.sum() > 5 and middle[free] == pytest.approx(expected, rel=5e-3)
 
 
 def test_a_return_spring_brings_a_single_acting_cylinder_back(tmp_path) -> None:
@@ -133,6 +202,7 @@ def test_derived_values_follow_a_change(tmp_path) -> None:
         ({"rod": 0.05}, "cylinder.rod: 0.05; expected less than bore, 0.032"),
         ({"bore": 0.0}, "cylinder.bore: 0; expected more than 0"),
         ({"tube_diameter": 0.0}, "cylinder.tube_diameter: 0; expected more than 0"),
+        ({"kappa": 0.9}, "cylinder.kappa: 0.9; expected 1 to 1.7"),
         ({"mass": -1.0}, "cylinder.mass.*: -1; expected 1e-09"),
     ],
 )

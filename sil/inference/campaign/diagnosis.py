@@ -26,6 +26,7 @@ from sil.inference.campaign.next_experiment import NextExperiment, next_experime
 from sil.inference.campaign.observations import StrokeObservation
 from sil.inference.campaign.residuals import gain_between
 from sil.inference.campaign.split import odd_ones_in, split
+from sil.inference.campaign.tangent_model import model_of
 from sil.inference.campaign.terms import term_candidate
 from sil.inference.candidate import Candidate, candidates
 from sil.inference.evidence import misfit
@@ -120,7 +121,7 @@ def diagnose(
     """
     strokes, findings = observed(campaign, parameters)
     progress(0.0, 100.0)  # not before a bad campaign is refused: that is one line
-    model = CampaignModel(strokes, Spread.of(parameters))
+    model = model_of(strokes, Spread.of(parameters))
     training, held_out = _assigned(model)
     causes_tried, terms = available(strokes), list(map(term_candidate, FORMS))
     search = Search(model, causes_tried, training, held_out, terms, workers, progress)
@@ -256,6 +257,7 @@ def available(strokes: Sequence[StrokeObservation]) -> list[Candidate]:
         "damper": any(stroke.conditions.load == "damper" for stroke in strokes),
         "internal position": any(stroke.internal is not None for stroke in strokes),
         "length stroke": any(stroke.conditions.system == LENGTH for stroke in strokes),
+        "process exponents": any(stroke.setup.p.air_kappa == 0.0 for stroke in strokes),
     }
     return candidates({need for need, present in has.items() if present})
 

@@ -88,7 +88,7 @@ def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
             predicted = scale * (channel.measured - r * channel.sd)
             lines.append(Series(name, x, predicted, role, dashed=dashed, width=0.9))
             residuals.append(Series(name, x, r, role, width=0.6))
-        yield Panel(_title(channel), unit, lines, height=120, legend=n == 0)
+        yield Panel(title_of(channel), unit, lines, height=120, legend=n == 0)
         band = Span(-inf, inf, "grid", "", -3.0, 3.0)
         yield Panel("residual / sd", "", residuals, spans=[band], height=80, legend=False)
 
@@ -148,7 +148,7 @@ def next_figure(experiment: NextExperiment) -> Figure:
             Series(name, x, scale * part[n][1] * channel.sd, role, dashed=dashed, width=1.2)
             for name, role, dashed, part in roles
         ]
-        panels.append(Panel(_title(channel), unit, lines, height=110, legend=n == 0))
+        panels.append(Panel(title_of(channel), unit, lines, height=110, legend=n == 0))
         apart = parts[0][n][1] - parts[1][n][1]
         band = Span(-inf, inf, "grid", "", -3.0, 3.0)
         series = [Series("difference", x, apart, "measured", width=0.8)]
@@ -157,6 +157,7 @@ def next_figure(experiment: NextExperiment) -> Figure:
     return Figure([Stack("time, ms", panels, title, limits=_view(stroke), width=12.0)])
 
 
-def _title(channel: Channel) -> str:
+def title_of(channel: Channel) -> str:
+    """Return a channel's name as a panel's title."""
     title = channel.name.removesuffix("_m").removesuffix("_pa").replace("_", " ")
     return f"{title}, absolute" if channel.kind in ("pressure", "oil") else title

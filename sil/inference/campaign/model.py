@@ -38,7 +38,7 @@ FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0
 """Spread of the rms between clean campaigns, in addition to the one that counting gives."""
 
 SIMULATED = ("friction", "rise", "fall", "supply", "flow_in", "flow_out", "volume_a", "volume_b")
-"""Healthy quantities that a stroke must be simulated again for."""
+"""Healthy quantities that a stroke must be simulated again for; a cylinder has further ones."""
 
 
 class CampaignModel(Problem):
@@ -56,6 +56,7 @@ class CampaignModel(Problem):
         kinds = {stroke.offset_of(c): c.kind for stroke in self.strokes for c in stroke.channels}
         self.offsets = tuple(sorted(kinds, key=lambda name: (kinds[name] != "position", name)))
         self.unit = tuple(spread.unit)
+        self.simulated = tuple(dict.fromkeys((*SIMULATED, *spread.unit)))
         self.scatter = tuple(spread.stroke)
         self.measured = [_standardised(stroke) for stroke in self.strokes]
         self.offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
@@ -122,9 +123,10 @@ class CampaignModel(Problem):
 
     def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
         """Return the healthy amounts of a stroke from the unit's tolerances [shared] and its scatter."""
-        total = dict.fromkeys(SIMULATED, 0.0)
-        for k, name in enumerate(self.unit):
-            total[name] += shared[k] * self.spread.unit[name]
+        total = dict.fromkeys(self.simulated, 0.0)
+        unit = self.spread.root @ shared[: len(self.unit)]
+        for name, amount in zip(self.unit, unit.tolist(), strict=True):
+            total[name] += amount
         for k, name in enumerate(self.scatter):
             total[name] += scatter[k] * self.spread.stroke[name]
         return total
@@ -236,8 +238,13 @@ class CampaignModel(Problem):
 
         steps: dict[str, float] = {}
         if not own_only and reuse is None:
-            needed = {*self.scatter, *(n for j, n in enumerate(self.unit) if j not in frozen)}
-            steps = {n: DIFFERENCE * self.spread.size(n) for n in SIMULATED if n in needed}
+            free = [j for j in range(tolerances) if j not in frozen]
+            moving = self.spread.root[:, free].any(axis=1)
+            needed = {
+                *self.scatter,
+                *(n for n, moves in zip(self.unit, moving, strict=True) if moves),
+            }
+            steps = {n: DIFFERENCE * self.spread.size(n) for n in self.simulated if n in needed}
         effect_parameters = [(item.effect, p) for item in candidates for p in item.parameters]
         delays: dict[str, tuple[str, float]] = {}
         wanted = zip(layout.effects, effect_parameters, scaled, strict=True)
@@ -261,9 +268,9 @@ class CampaignModel(Problem):
         else:
             by_scatter = np.zeros((len(base), len(self.scatter)))
             if not own_only:
-                for j, name in enumerate(self.unit):
+                for name, row in zip(self.unit, self.spread.root, strict=True):
                     if name in columns:
-                        by_shared[:, j] = columns[name] * self.spread.unit[name]
+                        by_shared[:, free] += columns[name][:, None] * row[free]
                 for j, name in enumerate(self.scatter):
                     by_scatter[:, j] = columns[name] * self.spread.stroke[name]
         by_shared[:, tolerances:healthy] = self.offset_columns[k]

@@ -110,7 +110,9 @@ def observe(
     """Thin one stroke's record and set the stroke up as its conditions say.
 
     clipped: columns whose largest value is no measurement; dead: columns to leave out; shift_s: by
-    which the record runs late; noise: of each column, the parameters' own by default.
+    which the record runs late; noise: of each column, the parameters' own by default. What a calibration
+    left unexplained adds to the noise, and as its neighbours say the same thing it counts once for all
+    samples within its correlation time.
     """
     conditions = entry.conditions
     setup = make_setup(parameters, conditions)
@@ -146,6 +148,13 @@ def observe(
             floor = 0.385**2 if usual else 1.035 * float(np.mean(1.0 / weights))
         sd = channel_noise.sd * np.sqrt(weights[use])
         size = floor * np.count_nonzero(use)
+        if f"discrepancy.{column}" in parameters:
+            left = parameters.value(f"discrepancy.{column}")
+            apart_s = np.gradient(time_s[rows])[use]
+            alike = np.maximum(1.0, parameters.value(f"discrepancy_time.{column}") / apart_s)
+            variance = sd**2 + left**2 * alike
+            size = float(np.sum((floor * sd**2 + left**2) / variance))
+            sd = np.sqrt(variance)
         channels.append(
             Channel(column, kind, state, measured[use], sd, at[use], channel_noise, size)
         )

@@ -1,10 +1,7 @@
 """Parameters of the model fitted to whole records of a campaign, healthy scatter included.
 
 The same whole-campaign fit as the diagnosis': tolerances of the unit, gauge offsets and each
-stroke's own scatter are fitted with the parameters, under their priors. Derivatives are taken along
-the strokes' own steps instead of by differences: `plant.batch.prediction.Predictor.derivatives` moves
-every quantity by a millionth in one call, events included; the fit gets its Jacobian for a few
-strokes' worth, without the noise of free runs.
+stroke's own scatter are fitted with the parameters, under their priors.
 Checked by: tests/unit/sil/inference/identify/test_identify.py
 """
 
@@ -12,58 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from plant.batch.tangents import MOVE
 from plant.effects import Effect, EffectParameter
 from plant.effects.setup import Setup
 from plant.parameters import ParameterSet
-from sil.campaign.campaign import Campaign, CampaignStroke, Floats
+from sil.campaign.campaign import Campaign, CampaignStroke
 from sil.files.quantity import counted
-from sil.inference.campaign.model import CampaignModel, Moved
 from sil.inference.campaign.observations import observe
+from sil.inference.campaign.tangent_model import TangentModel
 from sil.inference.candidate import Candidate
 from sil.inference.evidence import misfit
 from sil.inference.fit import Fitter, Show, no_progress
 from sil.inference.identify.estimate import Estimate
 from sil.inference.spread import Spread
-
-DELAYS = {"rise": "rise_ns", "fall": "fall_ns"}
-DELAY_STEP_S = 20e-9
-
-
-class TangentModel(CampaignModel):
-    """The campaign's model for strokes that are compared by external records alone."""
-
-    def derivatives(
-        self,
-        k: int,
-        here: tuple[Setup, Floats],
-        moved: Moved,
-        steps: Mapping[str, float],
-        central: bool,
-    ) -> tuple[Floats, dict[str, Floats]]:
-        """As the base class's [n]; by differences only where the events do not move along."""
-        setup = here[0]
-        sizes, setups = [], []
-        for name, step in steps.items():
-            h = DELAY_STEP_S if name in DELAYS else float(np.copysign(MOVE, step))
-            setups.append(moved(name, h))
-            if name in DELAYS:
-                before, after = (getattr(s.timing, DELAYS[name]) for s in (setup, setups[-1]))
-                h = 1e-9 * (after - before)
-            sizes.append(h)
-        states, found = self.strokes[k].predictor.derivatives(setup, setups, sizes)
-        base = self.numbers_of(k, setup, states, False)
-        columns: dict[str, Floats] = {}
-        for (name, step), other, h, rates in zip(steps.items(), setups, sizes, found, strict=True):
-            if rates is None or h == 0.0:
-                columns[name] = self.difference(k, base, partial(moved, name), step, central)
-            else:
-                columns[name] = (self.numbers_of(k, other, states + h * rates, False) - base) / h
-        return base, columns
 
 
 def fit_factors(

@@ -1,0 +1,26 @@
+"""What a calibrated model file says beyond its values: how well they are known, and what they leave.
+
+[posterior]: by quantity of `plant.effects.tolerances`, its row of the covariance of all that stand there,
+up to its own column; logarithms, seconds or, of what is limited, standard normal deviations.
+[discrepancy], [discrepancy_time]: by measured column, rms of what the model leaves beyond the noise, and
+its correlation time.
+Checked by: tests/unit/sil/inference/calibrate/test_calibrate.py
+"""
+
+from __future__ import annotations
+
+QUANTITIES = (
+    *("friction", "breakaway", "viscous", "mass", "spring", "rise", "fall", "flow_in", "flow_out"),
+    *("critical", "volume_a", "volume_b", "kappa", "wall_heat"),
+)
+COLUMNS = {
+    "position_m": "m",
+    "pressure_oil2_pa": "Pa",
+    **{f"pressure_{name}_pa": "Pa" for name in "12BNF"},
+}
+UNITS = {
+    **{f"posterior.{name}": "1" for name in QUANTITIES},
+    **{f"discrepancy.{name}": unit for name, unit in COLUMNS.items()},
+    **{f"discrepancy_time.{name}": "s" for name in COLUMNS},
+}
+"""Unit of every path; none is required."""

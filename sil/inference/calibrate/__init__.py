@@ -1,0 +1,1 @@
+"""A model fitted to healthy strokes of one unit: the baseline of its later diagnoses."""

@@ -1,0 +1,230 @@
+"""`calibrate`: from a data sheet and healthy strokes of one unit to a model of that unit.
+
+The values of the data sheet are priors. They are fitted together with offsets of sensors and each stroke's
+scatter, as in a diagnosis. Whole strokes held out in turn show what the model leaves beyond the noise:
+its discrepancy, which widens this fit and every later one.
+Checked by: tests/unit/sil/inference/calibrate/test_calibrate.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.effects.term import FORMS
+from plant.errors import IntegrationError
+from plant.parameters import Parameter, ParameterSet
+from plant.parameters.calibration import UNITS
+from sil.campaign.campaign import Campaign, Floats
+from sil.inference.calibrate.values import Calibrated, calibrated_values
+from sil.inference.campaign.checks import Finding, observed
+from sil.inference.campaign.diagnosis import available
+from sil.inference.campaign.model import CampaignModel, channel_parts
+from sil.inference.campaign.tangent_model import model_of
+from sil.inference.campaign.terms import term_candidate
+from sil.inference.evidence import ChannelMisfit, misfit
+from sil.inference.fit import FitResult, Fitter, Show, no_progress
+from sil.inference.problem import Block
+from sil.inference.screening import screen
+from sil.inference.spread import Spread
+from sil.inference.thresholds import LIMITS
+
+FOLDS = 3
+MIN_STROKES = 4
+MIN_SHRINKAGE = 0.9
+"""Posterior over prior deviation from which on the data do not determine a value."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A channel on strokes that the fit did not use.
+
+    misfit: rms over the noise; noise, discrepancy: standard deviations in the channel's unit; time_s:
+    correlation time of the discrepancy.
+    """
+
+    misfit: ChannelMisfit
+    noise: float
+    discrepancy: float
+    time_s: float
+
+    @property
+    def good(self) -> bool:
+        """Whether noise explains the channel."""
+        return self.misfit.rms <= max(LIMITS.max_residual_ratio, self.misfit.band)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated unit.
+
+    model, fit: with the discrepancy; values: what the model file states, by path; undetermined:
+    quantities that stay as their priors say; missing: structures that would explain what is left, and
+    their shares of it.
+    """
+
+    campaign: Campaign
+    parameters: ParameterSet
+    model: CampaignModel
+    fit: FitResult
+    channels: Mapping[str, HeldOut]
+    values: Mapping[str, Calibrated]
+    undetermined: tuple[str, ...]
+    missing: Mapping[str, float]
+    findings: tuple[Finding, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether the model is good enough to diagnose with."""
+        return all(channel.good for channel in self.channels.values())
+
+    @property
+    def covariance(self) -> tuple[tuple[str, ...], Floats]:
+        """Quantities of the unit, and the covariance [n, n] of their amounts."""
+        model = self.model
+        count = len(model.unit)
+        full = model.spread.root @ self.fit.covariance[:count, :count] @ model.spread.root.T
+        rows = [k for k, name in enumerate(model.unit) if f"posterior.{name}" in UNITS]
+        return tuple(model.unit[k] for k in rows), full[np.ix_(rows, rows)]
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one sentence."""
+        if self.good:
+            return (
+                "Good enough to diagnose with: noise explains the strokes that the fit did not use."
+            )
+        worst = max(self.channels, key=lambda name: self.channels[name].misfit.rms)
+        rms = self.channels[worst].misfit.rms
+        text = f"Not good enough to diagnose with: {worst} is off by {rms:.2g} times its noise"
+        names = [f"{name} ({share:.0%})" for name, share in self.missing.items()]
+        if not names:
+            return f"{text}, and nothing in the catalogue explains that."
+        return f"{text}. What would explain most of it: {', '.join(names)}."
+
+
+def calibrate(
+    campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
+) -> Calibration:
+    """Fit a unit to its healthy strokes.
+
+    parameters: the data sheet. Raises InputError for a campaign that cannot be compared, too few strokes,
+    and a data sheet that cannot follow them.
+    """
+    if len(campaign.strokes) < MIN_STROKES:
+        raise InputError(
+            f"{campaign.folder}: {len(campaign.strokes)} strokes; expected at least {MIN_STROKES}, "
+            "better ten, of every kind that a diagnosis shall use"
+        )
+    fresh = {p: item for p, item in parameters.entries.items() if p not in UNITS}
+    sheet = replace(parameters, entries=fresh)
+    strokes, findings = observed(campaign, sheet)
+    model = model_of(strokes, Spread.of(sheet))
+    try:
+        channels = held_out(model, progress)
+        for name, channel in channels.items():
+            if channel.discrepancy > 0.0:
+                left = channel.discrepancy, channel.time_s
+                for section, value in zip(("discrepancy", "discrepancy_time"), left, strict=True):
+                    path = f"{section}.{name}"
+                    fresh[path] = Parameter(value, UNITS[path], "rms on held-out strokes")
+        wide, _findings = observed(campaign, replace(sheet, entries=fresh))
+        model = model_of(wide, model.spread)
+        fit = Fitter(model, progress).fit(iterations=15)
+    except IntegrationError as error:
+        raise InputError(f"{campaign.folder}: {sheet.name} cannot follow it: {error}") from None
+    count = len(model.unit)
+    shrinkage = np.sqrt(np.diag(fit.covariance)[:count])
+    result = Calibration(
+        campaign,
+        replace(sheet, entries=fresh),
+        model,
+        fit,
+        channels,
+        calibrated_values(sheet, model, fit),
+        tuple(n for n, s in zip(model.unit, shrinkage, strict=True) if s > MIN_SHRINKAGE),
+        {},
+        tuple(findings),
+    )
+    return result if result.good else replace(result, missing=missing_structure(model, fit))
+
+
+def held_out(model: CampaignModel, progress: Show) -> dict[str, HeldOut]:
+    """Return each channel's residual on strokes that the fit did not use, every stroke once.
+
+    Raises IntegrationError where the motion cannot be continued.
+    """
+    fitter = Fitter(model, progress)
+    blocks: dict[int, Block] = {}
+    start = None
+    for fold in range(FOLDS):
+        out = [k for k in range(model.size) if k % FOLDS == fold]
+        training = [k for k in range(model.size) if k not in out]
+        fit = fitter.fit(start=start, use=training, iterations=15)
+        start = fit.shared
+        everything = range(len(fit.shared))
+        blocks |= fitter.fit(start=start, use=out, iterations=4, freeze=everything).blocks
+    whole = misfit(model, replace(fit, use=tuple(sorted(blocks)), blocks=blocks))
+    channels = {}
+    for name, parts in residuals(model, blocks).items():
+        noise, spacing_s = parts[0][1], float(np.median(np.diff(parts[0][2])))
+        variance, long_run = covariances([part[0] for part in parts])
+        excess = max(0.0, variance - noise**2)
+        alike = max(1.0, long_run / excess) if excess > 0.0 else 1.0
+        channels[name] = HeldOut(
+            whole.channels[name], noise, float(np.sqrt(excess)), float(alike * spacing_s)
+        )
+    return channels
+
+
+def residuals(
+    model: CampaignModel, blocks: Mapping[int, Block]
+) -> dict[str, list[tuple[Floats, float, Floats]]]:
+    """Return by channel each stroke's residuals [n], its noise (both in the channel's unit) and instants [n] in s."""
+    parts: dict[str, list[tuple[Floats, float, Floats]]] = {}
+    for k, block in blocks.items():
+        stroke = model.strokes[k]
+        for channel, r in channel_parts(stroke, block.residual):
+            item = r * channel.sd, channel.noise.sd, stroke.time_s[channel.rows]
+            parts.setdefault(channel.name, []).append(item)
+    return parts
+
+
+def covariances(parts: list[Floats]) -> tuple[float, float]:
+    """Return the mean square of residuals, and their excess over white noise summed over all lags.
+
+    The sum ends at the first lag that is not positively correlated.
+    """
+    variance = float(np.mean(np.concatenate(parts) ** 2))
+    total = 0.0
+    for lag in range(1, min(map(len, parts)) // 2):
+        moved = float(np.mean(np.concatenate([r[lag:] * r[:-lag] for r in parts])))
+        if moved <= 0.05 * variance:
+            break
+        total += 2.0 * moved
+    return variance, total
+
+
+def missing_structure(model: CampaignModel, fit: FitResult) -> dict[str, float]:
+    """Return the effects and terms that explain most of what a fit leaves, and their shares of it."""
+    tried = [*available(model.strokes), *map(term_candidate, FORMS)]
+    left = max(misfit(model, fit).excess, 1.0)
+    shares: dict[str, float] = {}
+    for score in screen(Fitter(model), fit, tried):
+        name = score.candidate.variant if score.candidate.is_term else score.candidate.id
+        if 2.0 * score.gain > 0.1 * left:
+            shares.setdefault(name, min(1.0, 2.0 * score.gain / left))
+    return dict(list(shares.items())[:3])
+
+
+def quantities(result: Calibration) -> Iterator[tuple[str, float, float, float]]:
+    """Yield each quantity of the unit: its amount, its deviation after the fit, and the one before it."""
+    root, count = result.model.spread.root, len(result.model.unit)
+    amounts = root @ result.fit.shared[:count]
+    after = np.sqrt(np.diag(root @ result.fit.covariance[:count, :count] @ root.T))
+    before = np.sqrt(np.sum(root**2, axis=1))
+    for row in zip(result.model.unit, amounts, after, before, strict=True):
+        yield row[0], float(row[1]), float(row[2]), float(row[3])

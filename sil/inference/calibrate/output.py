@@ -1,0 +1,109 @@
+"""What `opc4 calibrate` writes: the model file, which stands alone, and a page with every stroke.
+
+Checked by: tests/unit/sil/inference/calibrate/test_calibrate.py
+"""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+
+from plant.parameters import Parameter, load
+from plant.parameters.calibration import UNITS
+from sil.files.atomic import write_atomically
+from sil.files.quantity import counted
+from sil.inference.calibrate.calibration import Calibration, quantities, residuals
+from sil.inference.calibrate.values import Calibrated
+from sil.inference.campaign.figures import UNITS as CHANNEL_UNITS
+from sil.inference.campaign.figures import title_of
+from sil.inference.model_file import model_file
+from sil.report.figure import MS, Figure, Panel, Series, Span, Stack
+from sil.report.plots import plots
+from sil.report.shell import Head, render
+
+
+def model_text(result: Calibration) -> str:
+    """Return the text of the calibrated model file.
+
+    It states all that differs from the shipped set `nominal`, so that no other file is needed.
+    """
+    nominal, given = load(), result.parameters
+    strokes = counted(len(result.campaign.strokes), "stroke")
+    source = f"calibrated on campaign {result.campaign.name}, {strokes}"
+    entries = {
+        path: item
+        for path, item in given.entries.items()
+        if item.source != "computed from [cylinder]" and item != nominal.entries.get(path)
+    }
+    for path, value in result.values.items():
+        item = given.entries.get(path)
+        text = f"{source}; {'unknown' if item is None else item.source}"
+        unit = item.unit if item is not None else ""
+        entries[path] = Parameter(value.value, unit, text, value.low, value.high)
+    names, covariance = result.covariance
+    for k, name in enumerate(names):
+        row = tuple(covariance[k, : k + 1].tolist())
+        columns = ", ".join(names[: k + 1])
+        path = f"posterior.{name}"
+        entries[path] = Parameter(row, UNITS[path], f"covariance with {columns}")
+    sections: dict[str, dict[str, Parameter]] = {}
+    for path, item in entries.items():
+        section, key = path.split(".", 1)
+        sections.setdefault(section, {})[key] = item
+    for identifier, table in given.effects.items():
+        sections[f"effect.{identifier}"] = dict(table)
+    return model_file(f"{source}. {result.headline}", "nominal", sections)
+
+
+def strokes_figure(result: Calibration) -> Figure:
+    """Return every stroke: channels measured and simulated, and residuals over their noise."""
+    return Figure([_stroke(result, k) for k in result.fit.blocks])
+
+
+def _stroke(result: Calibration, k: int) -> Stack:
+    stroke = result.model.strokes[k]
+    parts = residuals(result.model, {k: result.fit.blocks[k]})
+    panels = []
+    for channel in stroke.channels:
+        unit, scale = CHANNEL_UNITS[channel.kind]
+        ((r, noise, time_s),) = parts[channel.name]
+        lines = [
+            Series("measured", MS * time_s, scale * channel.measured, "measured", width=2.2),
+            Series("calibrated", MS * time_s, scale * (channel.measured - r), "after", width=0.9),
+        ]
+        panels.append(Panel(title_of(channel), unit, lines, height=120, legend=not panels))
+        band = Span(-inf, inf, "grid", "", -3.0, 3.0)
+        left = [Series("residual", MS * time_s, r / noise, "after", width=0.6)]
+        panels.append(Panel("residual / noise", "", left, spans=[band], height=80, legend=False))
+    return Stack("time, ms", panels, f"{stroke.entry.label} ({stroke.entry.file})", width=8.0)
+
+
+def write_page(result: Calibration, path: Path, again: str) -> None:
+    """Write the page of a calibration."""
+    worst = max(channel.misfit.rms for channel in result.channels.values())
+    head = Head(
+        command="calibrate",
+        name=result.campaign.name,
+        verdict="good enough" if result.good else "structure missing",
+        good=result.good,
+        tiles=[
+            (str(len(result.model.strokes)), "strokes"),
+            (f"{worst:.3g}", "rms over noise, held out"),
+        ],
+        again=again,
+    )
+    rows = [(path, result.parameters[path], item) for path, item in scalars(result).items()]
+    page = render(
+        "calibration.html",
+        head,
+        plots(strokes_figure(result)),
+        result=result,
+        rows=rows,
+        quantities=list(quantities(result)),
+    )
+    write_atomically(path, page)
+
+
+def scalars(result: Calibration) -> dict[str, Calibrated]:
+    """Return the calibrated values that are one number with an interval, by path."""
+    return {path: item for path, item in result.values.items() if item.low is not None}
