@@ -77,7 +77,8 @@ class Effect:
 
     tolerance: the tolerance of healthy units that acts the same way; switching: the instant of a
     valve ("rise" or "fall") that it moves; sized_by: the fitted parameters that say how large it is;
-    rugged: a fit has several minima, so each start is followed separately; look_alikes: effects that
+    form_error: standard deviation of the first parameter, as a share, because the form is a guess (a gap has no
+    data sheet); rugged: a fit has several minima, so each start is followed separately; look_alikes: effects that
     are hard to distinguish from it (stated on either side); force: the same as a term of the force balance
     of a body of which only force and position are known.
     """
@@ -95,6 +96,7 @@ class Effect:
     tolerance: str = ""
     switching: str = ""
     sized_by: Literal["first", "any", "none"] = "first"
+    form_error: float = 0.0
     rugged: bool = False
     nonparametric: bool = False
     look_alikes: tuple[str, ...] = ()

@@ -26,6 +26,7 @@ CLOG = EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1)
     "chamber",
     "flow past the moving piston",
     CDA,
+    form_error=0.05,
     look_alikes=("leak_to_atmosphere", "exhaust_clog"),
 )
 def piston_leak(setup: Setup, values: dict[str, float]) -> None:
@@ -45,6 +46,7 @@ def leak_on_run(values: Values) -> Values:
     "a charged chamber leaks outside",
     CDA,
     WHERE,
+    form_error=0.05,
     variants=(
         Variant(),
         Variant("driving chamber", {"where": 1.0}, fills_table=True),

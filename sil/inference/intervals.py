@@ -2,7 +2,8 @@
 
 A profile fixes the parameter, fits everything else again and looks where the cost has risen by
 1.92 (95 %), times the factor by which the residuals exceed their floor.  It closes on both sides,
-stops at a physical bound, and says which other parameter ran into its own on the way.
+stops at a physical bound, and says which other parameter ran into its own on the way. A cause whose
+form is a guess is no better known than that.
 
 Source: Raue et al. 2009 (profile likelihood); pyPESTO's profiles for the idea of reporting bounds.
 Checked by: tests/unit/sil/inference/test_diagnose.py
@@ -51,14 +52,17 @@ def intervals(
         return _one_side(fitter, fit, index, deviation[index], side, inflation)
 
     ends = spread_out(work, jobs, workers)
+    form_errors = {candidate.name: candidate.effect.form_error for candidate in fit.candidates}
     for (name, parameter, _index, _side), (moved, note) in zip(jobs, ends, strict=True):
         old = tables[name][parameter.name]
         edge = value_of(parameter, scaled_of(parameter, old.value) + moved)
         # the wider of profile and curvature: a profile may stop short in a curved valley
+        low, high = min(edge, old.low), max(edge, old.high)
+        form = 1.96 * form_errors[name] * abs(old.value - parameter.neutral)
         tables[name][parameter.name] = replace(
             old,
-            low=min(edge, old.low),
-            high=max(edge, old.high),
+            low=max(old.value - float(np.hypot(old.value - low, form)), parameter.low),
+            high=min(old.value + float(np.hypot(high - old.value, form)), parameter.high),
             note="; ".join(text for text in (old.note, note) if text),
         )
     return tables

@@ -63,7 +63,7 @@ def strokes_figure(result: Calibration) -> Figure:
 def _stroke(result: Calibration, k: int) -> Stack:
     stroke = result.model.strokes[k]
     parts = residuals(result.model, {k: result.fit.blocks[k]})
-    panels = []
+    panels: list[Panel] = []
     for channel in stroke.channels:
         unit, scale = CHANNEL_UNITS[channel.kind]
         ((r, noise, time_s),) = parts[channel.name]

@@ -239,7 +239,7 @@ class CampaignModel(Problem):
         steps: dict[str, float] = {}
         if not own_only and reuse is None:
             free = [j for j in range(tolerances) if j not in frozen]
-            moving = self.spread.root[:, free].any(axis=1)
+            moving = self.spread.root[:, free].any(axis=1).tolist()
             needed = {
                 *self.scatter,
                 *(n for n, moves in zip(self.unit, moving, strict=True) if moves),

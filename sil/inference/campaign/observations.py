@@ -146,8 +146,8 @@ def observe(
             usual = channel_noise is nominal[kind] and step_s <= FINE_S
             # mean squares on clean simulated campaigns
             floor = 0.385**2 if usual else 1.035 * float(np.mean(1.0 / weights))
-        sd = channel_noise.sd * np.sqrt(weights[use])
-        size = floor * np.count_nonzero(use)
+        sd: Floats = channel_noise.sd * np.sqrt(weights[use])
+        size = float(floor * np.count_nonzero(use))
         if f"discrepancy.{column}" in parameters:
             left = parameters.value(f"discrepancy.{column}")
             apart_s = np.gradient(time_s[rows])[use]
