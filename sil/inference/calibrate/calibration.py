@@ -92,7 +92,7 @@ class Calibration:
         count = len(model.unit)
         full = model.spread.root @ self.fit.covariance[:count, :count] @ model.spread.root.T
         rows = [k for k, name in enumerate(model.unit) if f"posterior.{name}" in UNITS]
-        return tuple(model.unit[k] for k in rows), full[np.ix_(rows, rows)]
+        return tuple(model.unit[k] for k in rows), 0.5 * (full + full.T)[np.ix_(rows, rows)]
 
     @property
     def headline(self) -> str:

@@ -239,11 +239,8 @@ class CampaignModel(Problem):
         steps: dict[str, float] = {}
         if not own_only and reuse is None:
             free = [j for j in range(tolerances) if j not in frozen]
-            moving = self.spread.root[:, free].any(axis=1).tolist()
-            needed = {
-                *self.scatter,
-                *(n for n, moves in zip(self.unit, moving, strict=True) if moves),
-            }
+            rows = zip(self.unit, self.spread.root, strict=True)
+            needed = {*self.scatter, *(name for name, row in rows if row[free].any())}
             steps = {n: DIFFERENCE * self.spread.size(n) for n in self.simulated if n in needed}
         effect_parameters = [(item.effect, p) for item in candidates for p in item.parameters]
         delays: dict[str, tuple[str, float]] = {}

@@ -1,0 +1,97 @@
+"""Calibration of the shipped example: a cylinder of another simulator, with a wrong data sheet."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from plant.parameters import ParameterSet, load
+from sil.campaign.campaign import load_campaign
+from sil.inference.calibrate.calibration import Calibration, calibrate
+from sil.inference.calibrate.output import model_text, write_page
+from sil.inference.spread import Spread
+from tests.conftest import ROOT, run_opc4
+
+EXAMPLE = ROOT / "sil" / "examples" / "cylinder"
+TRUTH = {
+    "cylinder.coulomb": 18.0,
+    "cylinder.viscous": 25.0,
+    "cylinder.valve_c_in": 4.6e-6 / 502.4,
+    "cylinder.dead_volume_1": 6.5e-6,
+    "valve.D_rise": 9e-3,
+    "valve.D_fall": 30e-3,
+}
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> Calibration:
+    return calibrate(load_campaign(EXAMPLE / "healthy"), load(str(EXAMPLE / "data_sheet.toml")))
+
+
+@pytest.fixture(scope="module")
+def mine(calibrated: Calibration, tmp_path_factory: pytest.TempPathFactory) -> ParameterSet:
+    path = tmp_path_factory.mktemp("calibrated") / "mine.toml"
+    path.write_text(model_text(calibrated), encoding="utf-8")
+    return load(str(path))
+
+
+def test_values_come_near_the_truth_from_a_wrong_data_sheet(calibrated: Calibration) -> None:
+    for path, true in TRUTH.items():
+        assert calibrated.values[path].value == pytest.approx(true, rel=0.06), path
+    assert "flow_in" not in calibrated.undetermined
+
+
+def test_what_another_structure_leaves_is_in_the_verdict_and_the_file(
+    calibrated: Calibration, mine: ParameterSet
+) -> None:
+    assert calibrated.good and "wider" in calibrated.headline
+    left = calibrated.channels["position_m"]
+    assert 1.25 < left.misfit.rms < 4.0 and left.discrepancy > left.noise
+    assert mine.value("discrepancy.position_m") == pytest.approx(left.discrepancy)
+
+
+def test_the_file_stands_alone_and_keeps_how_well_each_value_is_known(
+    calibrated: Calibration, mine: ParameterSet
+) -> None:
+    assert mine.value("cylinder.coulomb") == calibrated.values["cylinder.coulomb"].value
+    names, covariance = calibrated.covariance
+    spread = Spread.of(mine)
+    assert tuple(spread.unit) == (*names, "supply") and spread.unit["supply"] == 0.01
+    n = len(names)
+    assert (spread.root @ spread.root.T)[:n, :n] == pytest.approx(covariance, rel=1e-6, abs=1e-12)
+    assert spread.unit["flow_in"] < 0.1 * Spread.of(calibrated.parameters).unit["flow_in"]
+
+
+def test_the_page_holds_every_stroke(calibrated: Calibration, tmp_path: Path) -> None:
+    write_page(calibrated, tmp_path / "mine.html", "opc4 calibrate healthy --out mine.toml")
+    page = (tmp_path / "mine.html").read_text(encoding="utf-8")
+    assert all(stroke.file in page for stroke in calibrated.campaign.strokes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["healthy"], "--out missing: expected the name of a .toml file"),
+        (["healthy", "--out", "mine.json"], "--out mine.json: expected the name of a .toml file"),
+        (["data_sheet.toml", "--out", "mine.toml"], "is a file; expected a campaign folder"),
+    ],
+)
+def test_wrong_arguments_are_one_line(arguments, message, tmp_path) -> None:
+    words = [str(EXAMPLE / arguments[0]), *arguments[1:]]
+    done = run_opc4(tmp_path, "calibrate", *words)
+    assert done.returncode == 2 and message in done.stderr and not list(tmp_path.iterdir())
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_a_leak_is_found_with_the_calibrated_model(calibrated: Calibration, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(model_text(calibrated), encoding="utf-8")
+    done = run_opc4(
+        tmp_path, "diagnose", str(EXAMPLE / "today"), "--model", "mine.toml", "--out", "d"
+    )
+    assert done.returncode == 1, done.stderr
+    first = json.loads((tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8"))["causes"][0]
+    size = first["parameters"]["cda_m2"]
+    assert first["id"] == "piston_leak" and size["low"] < 0.06 * 4.6e-6 < size["high"]
