@@ -39,13 +39,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.name not in examples:
         expected = ", ".join(nearest(arguments.name, examples) or examples)
         raise InputError(f"no example {arguments.name!r}; expected one of {expected}")
-    files = sorted(path for path in examples[arguments.name].iterdir() if path.is_file())
+    source = examples[arguments.name]
+    files = sorted(path.relative_to(source) for path in source.rglob("*.*") if path.is_file())
     out = arguments.out or Path(arguments.name)
-    _copy(files, out, arguments.force)
+    _copy(source, files, out, arguments.force)
     if arguments.json:
-        print(json.dumps({"folder": str(out), "files": [path.name for path in files]}))
+        print(json.dumps({"folder": str(out), "files": list(map(str, files))}))
     else:
-        print(f"{out}: {' '.join(path.name for path in files)}\n\n{_readme(out)}", end="")
+        print(f"{out}: {' '.join(map(str, files))}\n\n{_readme(out)}", end="")
     return 0
 
 
@@ -53,15 +54,16 @@ def _readme(folder: Path) -> str:
     return (folder / "README.md").read_text(encoding="utf-8")
 
 
-def _copy(files: list[Path], out: Path, force: bool) -> None:
+def _copy(source: Path, files: list[Path], out: Path, force: bool) -> None:
     from can_dbc.errors import InputError
     from sil.files.atomic import write_atomically
 
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: --out: is a file; expected a folder")
     for file in files:
-        if (out / file.name).exists() and not force:
-            raise InputError(f"{out / file.name}: exists; expected a new folder, or --force")
+        if (out / file).exists() and not force:
+            raise InputError(f"{out / file}: exists; expected a new folder, or --force")
     out.mkdir(parents=True, exist_ok=True)
     for file in files:
-        write_atomically(out / file.name, file.read_bytes())
+        (out / file).parent.mkdir(exist_ok=True)
+        write_atomically(out / file, (source / file).read_bytes())

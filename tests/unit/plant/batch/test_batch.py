@@ -204,7 +204,7 @@ def test_refusals():
         with pytest.raises(ValueError, match=match):
             simulate_batch(dataclasses.replace(strokes, **wrong))
     with pytest.raises(ValueError, match="columns"):
-        simulate_batch(strokes, sample_s=np.array([0.1]), columns=[6])
+        simulate_batch(strokes, sample_s=np.array([0.1]), columns=[8])
     with pytest.raises(ValueError, match="sample_s"):
         simulate_batch(strokes, sample_s=np.array([0.2, 0.1]))
 
