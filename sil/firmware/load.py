@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import controller
+from sil.files.extras import ROOT
 
 if TYPE_CHECKING:
     from controller.config import FirmwareConfig
     from sil.coupling.transports.channel import Participant
 
-SHIPPED_IN_C = Path(controller.__file__).parent / "c" / "opc4.c"
+SHIPPED_IN_C = ROOT / "controller" / "c" / "opc4.c"
 IN_C = "c"
 """In place of a file: the shipped firmware in C."""
 
