@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,7 @@ ARGUMENTS = (
     argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
     argument("--resume", "continue the sweep in DIR"),
     argument("--firmware", "a firmware of your own, as of opc4 run", "FILE"),
+    argument("--rejudge", "of a study that searches: judge what is stored, without a search"),
     argument("--model", "parameter set or model file [the study's]", "MODEL"),
     *(EFFECTS, *out("runs/STUDY-N"), JSON),
 )
@@ -56,7 +58,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     study = load_study(arguments.study, arguments.effects, arguments.model, arguments.firmware)
+    if arguments.rejudge:
+        study = replace(study, file=study.file.without_search())
     folder = _folder(study, arguments)
+    study = replace(study, folder=folder)
     with Progress("rows") as progress:
         now = run_study(
             study,

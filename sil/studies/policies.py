@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from plant.batch.batch import Strokes, simulate_batch
 from plant.devices.valve import ValveTiming, switch_schedule
+from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.integrator.loop import DONE
 from plant.kernel.layout import EventRow, Guard, LengthState
@@ -25,6 +26,8 @@ from sil.coupling.clock import NS_PER_S
 from sil.simulation.impacts import HOLD_S, counted, worst_speed_m_s
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 Commands = Sequence[tuple[float, str, float]]
 """(time s, valve, duty), as in a campaign."""
 
@@ -72,6 +75,64 @@ class Arrivals:
     impact_worst_m_s: Floats
     arrival_s: Floats
 
+    def reshaped(self, *shape: int) -> Arrivals:
+        """Return the same with figures of another shape."""
+        columns = (self.revealed_s, self.impact_stay_m_s, self.impact_worst_m_s, self.arrival_s)
+        return Arrivals(*(column.reshape(shape) for column in columns))
+
+
+class LoadModel:
+    """The strokes of some loads, to be simulated many times under changed switches of the valves."""
+
+    def __init__(self, setups: Sequence[Setup], revealed_by: str = GEARBOX.revealed_by) -> None:
+        self.strokes = Strokes.from_setups(setups, 1.0)
+        self.stop_m = setups[0].p.stroke - 1e-4
+        self._mass_kg = setups[0].p.m_s + setups[0].p.m_p
+        guards = {guard.event: guard for guard in Guard}
+        self._revealed_by, self._pick_up = guards[revealed_by], guards["collar 1 contact"]
+
+    def take(self, loads: Ints, switches: Floats, duration_s: Floats) -> Strokes:
+        """Return strokes [n] of loads (numbers [n]) under switches [n, k, 4], of duration_s [n] in s."""
+        rows = {
+            name: array if len(array) == 1 else array[loads]
+            for name in ("packed", "flow", "initial", "modes", "valves")
+            for array in (getattr(self.strokes, name),)
+        }
+        if len(rows["packed"]) != len(loads):
+            rows["packed"] = np.repeat(rows["packed"], len(loads), axis=0)
+        return replace(self.strokes, switches=switches, duration_s=duration_s, **rows)
+
+    def arrivals(
+        self, strokes: Strokes, under_way: bool = False, tolerance: float = 1e-6
+    ) -> Arrivals:
+        """Simulate strokes [n] and judge their impacts; each figure [n].
+
+        A stroke has arrived if it is at its stop at the end. under_way: the strokes begin where the
+        driving piston has picked up the stay.
+        """
+        max_events = 96
+        result = simulate_batch(strokes, event_room=max_events, tolerance=tolerance)
+        events = np.moveaxis(result.events, 2, 0)
+        happened = np.arange(max_events) < result.event_count[:, None]
+        time_s = np.where(happened, events[EventRow.time], np.inf)
+        guard, x_m = events[EventRow.guard], events[EventRow.x]
+        at_block = events[EventRow.at_block] == 1.0
+        stop = happened & ~at_block & (events[EventRow.speed] > 0.0) & (x_m > 0.5 * self.stop_m)
+        left = happened & (x_m < self.stop_m) & (time_s > _first(stop, time_s)[:, None])
+        left_s = np.where(left, time_s, -1.0).max(axis=1)
+        arrival_s = _first(stop & (time_s > left_s[:, None]), time_s)
+        lost_j = np.where(happened, events[EventRow.lost], 0.0)
+        counts = counted(guard, time_s, lost_j, at_block, () if under_way else (self._pick_up,))
+        worst_j = np.where(counts, lost_j, 0.0).max(axis=1)
+        stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
+        worst_m_s = worst_speed_m_s(worst_j, stay_m_s, self._mass_kg)
+        lasts = (result.status == DONE) & (result.event_count <= max_events)
+        lasts &= (result.final[:, LengthState.x_s] > self.stop_m) & np.isfinite(arrival_s)
+        return Arrivals(
+            _first(happened & (guard == self._revealed_by), time_s),
+            *(np.where(lasts, each, np.inf) for each in (stay_m_s, worst_m_s, arrival_s)),
+        )
+
 
 class FamilyModel:
     """The strokes of a family's loads, to be simulated under many command sequences."""
@@ -79,58 +140,22 @@ class FamilyModel:
     def __init__(self, parameters: ParameterSet, family: Family) -> None:
         setups = [make_setup(parameters, case) for case in family.cases]
         self._timing = ValveTiming.from_parameters(parameters)
-        self._strokes = Strokes.from_setups(setups, 1.0)
-        self._stroke_m = setups[0].p.stroke
-        self._mass_kg = setups[0].p.m_s + setups[0].p.m_p
-        self._revealed_by = family.revealed_by
+        self._model = LoadModel(setups, family.revealed_by)
+        self._loads = len(setups)
 
     def arrivals(self, sequences: Sequence[Commands], limit_s: float = 0.5) -> Arrivals:
-        """Simulate each command sequence under every load, and judge its impacts.
+        """Simulate each command sequence under every load; each figure [sequences, loads].
 
         limit_s: what arrives later is too late.
         """
-        guards = {guard.event: guard for guard in Guard}
-        loads, max_events = len(self._strokes.packed), 96
-        of_load = np.tile(np.arange(loads), len(sequences))
-        per_load: dict[str, Any] = {
-            name: rows if len(rows) == 1 else rows[of_load]
-            for name in ("flow", "initial", "modes", "valves")
-            for rows in (getattr(self._strokes, name),)
-        }
-        result = simulate_batch(
-            replace(
-                self._strokes,
-                packed=self._strokes.packed[of_load],
-                switches=np.repeat(self._switches(sequences), loads, axis=0),
-                duration_s=np.full(len(of_load), limit_s + HOLD_S),
-                **per_load,
-            ),
-            event_room=max_events,
-            lanes=False,
-            tolerance=1e-5,
-        )
-        events = np.moveaxis(result.events, 2, 0)
-        happened = np.arange(max_events) < result.event_count[:, None]
-        time_s = np.where(happened, events[EventRow.time], np.inf)
-        guard, x_m = events[EventRow.guard], events[EventRow.x]
-        at_block = events[EventRow.at_block] == 1.0
-        stop = happened & ~at_block & (events[EventRow.speed] > 0.0) & (x_m > 0.5 * self._stroke_m)
-        stop_m = self._stroke_m - 1e-4
-        left = happened & (x_m < stop_m) & (time_s > _first(stop, time_s)[:, None])
-        left_s = np.where(left, time_s, -1.0).max(axis=1)
-        arrival_s = _first(stop & (time_s > left_s[:, None]), time_s)
-        lost_j = np.where(happened, events[EventRow.lost], 0.0)
-        counts = counted(guard, time_s, lost_j, at_block, (guards["collar 1 contact"],))
-        worst_j = np.where(counts, lost_j, 0.0).max(axis=1)
-        stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
-        worst_m_s = worst_speed_m_s(worst_j, stay_m_s, self._mass_kg)
-        lasts = (result.status == DONE) & (result.event_count <= max_events)
-        lasts &= (result.final[:, LengthState.x_s] > stop_m) & (arrival_s <= limit_s)
-        columns = (
-            _first(happened & (guard == guards[self._revealed_by]), time_s),
-            *(np.where(lasts, each, np.inf) for each in (stay_m_s, worst_m_s, arrival_s)),
-        )
-        return Arrivals(*(column.reshape(-1, loads) for column in columns))
+        of_load = np.tile(np.arange(self._loads), len(sequences))
+        switches = np.repeat(self._switches(sequences), self._loads, axis=0)
+        duration_s = np.full(len(of_load), limit_s + HOLD_S)
+        judged = self._model.arrivals(self._model.take(of_load, switches, duration_s))
+        lasts = judged.arrival_s <= limit_s
+        speeds = (judged.impact_stay_m_s, judged.impact_worst_m_s, judged.arrival_s)
+        columns = (judged.revealed_s, *(np.where(lasts, each, np.inf) for each in speeds))
+        return Arrivals(*columns).reshaped(-1, self._loads)
 
     def _switches(self, sequences: Sequence[Commands]) -> Floats:
         """Return the switches [sequences, k, 4] of `Strokes` for the commands of each sequence."""

@@ -136,6 +136,10 @@ class StudyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """Return the figures of a finished study by file name."""
         raise NotImplementedError
 
+    def without_search(self) -> StudyFile:
+        """Return the study that judges what its rows have stored. Raises InputError if none do."""
+        raise InputError(f"--rejudge: study {self.name!r} does not search; expected one that does")
+
     def sentences(self, study: Study, table: Table) -> list[str]:
         """Return what the summary says in place of figures of groups."""
         return []
@@ -161,6 +165,8 @@ class Study:
     file: StudyFile
     source: str
     base: tuple[dict[str, Any], Path] | None = None
+    folder: Path | None = None
+    """Where its rows may store what they have found."""
 
     def input_digests(self) -> dict[str, str]:
         """Return what decides the rows, by name, as `sil.simulation.inputs.input_digests` does."""

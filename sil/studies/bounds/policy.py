@@ -1,0 +1,137 @@
+"""A policy: pulses of the valves that know no load, and pulses that answer the release.
+
+The stem is the plain push with pulses at fixed times: closures of B, openings of N and F. When the
+release has been known for the information delay, what is left of the stem is cancelled, and pulses
+follow whose starts and lengths are piecewise linear functions of the instant of release.
+The values of a policy: for each valve the starts of the stem's pulses, then their lengths; then for
+each valve the same of the answer, for each knot. Their unit is 10 ms; a length counts from that of the
+shortest pulse that moves the plunger.
+Checked by: tests/unit/sil/studies/bounds/test_policy.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from plant.effects.stroke_conditions import FULL_DUTY
+from sil.studies.policies import Bools, Commands, Floats
+
+UNIT_S = 0.01
+STEM = {"B": 3, "N": 4, "F": 2}
+ANSWER = {"B": 1, "N": 2, "F": 1}
+STEM_SIZE = 2 * sum(STEM.values())
+NO_PULSE = -1.0
+"""Length of a pulse that is not there, in units of a policy."""
+Edges = Mapping[str, Floats]
+"""When the command of each valve changes, [strokes, changes] in s; at first it is off."""
+
+
+class Timing(NamedTuple):
+    """Delays in s from a command to the plunger's move."""
+
+    rise_s: float
+    fall_s: float
+
+
+def edges_of(
+    values: Floats, knots_s: Sequence[float], release_s: Floats, delay_s: float, timing: Timing
+) -> Edges:
+    """Return the commands of policies [policies, size] for releases [policies, strokes] in s.
+
+    knots_s: instants of release between which the answer is linear; none: there is no answer.
+    """
+    known_s = (release_s + delay_s)[..., None]
+    begin, answer_begin, edges = 0, STEM_SIZE, {}
+    for valve, n in STEM.items():
+        shortest_s = timing.fall_s if valve == "B" else timing.rise_s
+        parts = [np.zeros_like(known_s)] if valve == "B" else []
+        stem = values[:, None, begin : begin + 2 * n].reshape(len(values), 1, 2, n)
+        parts.append(np.minimum(_pulses(stem, shortest_s), known_s))
+        begin += 2 * n
+        if len(knots_s):
+            size = 2 * ANSWER[valve] * len(knots_s)
+            knots = values[:, answer_begin : answer_begin + size]
+            answer = at_releases(knots.reshape(len(values), len(knots_s), -1), knots_s, release_s)
+            pulses = answer.reshape(*release_s.shape, 2, -1)
+            parts.append(known_s + _pulses(pulses, shortest_s))
+            answer_begin += size
+        each = np.concatenate(parts, axis=2)
+        edges[valve] = each.reshape(-1, each.shape[-1])
+    return edges
+
+
+def at_releases(knots: Floats, knots_s: Sequence[float], release_s: Floats) -> Floats:
+    """Return values [policies, knots, k] at releases [policies, strokes] in s, linear in between."""
+    at = np.array(knots_s)
+    left = np.clip(np.searchsorted(at, release_s, side="right") - 1, 0, max(len(at) - 2, 0))
+    right = np.minimum(left + 1, len(at) - 1)
+    part = (release_s - at[left]) / np.where(right > left, at[right] - at[left], 1.0)
+    part = np.clip(part, 0.0, 1.0)[..., None]
+    row = np.arange(len(knots))[:, None]
+    between: Floats = (1.0 - part) * knots[row, left] + part * knots[row, right]
+    return between
+
+
+def _pulses(values: Floats, shortest_s: float) -> Floats:
+    """Return begin and end of pulses [..., 2 pulses] in s, ascending; one that another cuts ends there."""
+    start_s = UNIT_S * np.maximum(values[..., 0, :], 0.0)
+    length_s = np.maximum(shortest_s + UNIT_S * values[..., 1, :], 0.0)
+    order = np.argsort(start_s, axis=-1, kind="stable")
+    start_s, length_s = (np.take_along_axis(each, order, axis=-1) for each in (start_s, length_s))
+    end_s = start_s + length_s
+    end_s[..., :-1] = np.minimum(end_s[..., :-1], start_s[..., 1:])
+    return np.stack([start_s, end_s], axis=-1).reshape(*start_s.shape[:-1], -1)
+
+
+def _is_last(edges: Floats, k: int) -> Bools:
+    """Return whether change k of [strokes, changes] is the last of its instant."""
+    last: Bools = edges[:, k] < (edges[:, k + 1] if k + 1 < edges.shape[1] else np.inf)
+    return last
+
+
+def switches_of(edges: Edges, rise_s: Floats, fall_s: Floats) -> Floats:
+    """Return the plungers' moves [strokes, k, 4] as `plant.batch.batch.Strokes` has them.
+
+    rise_s, fall_s: [strokes, 3] in s. The same as `plant.devices.valve.switch_schedule`, for many.
+    """
+    rows = []
+    for chamber, at in enumerate(edges.values()):
+        is_open = np.zeros(len(at), dtype=np.bool_)
+        energised, move_s = is_open, np.full(len(at), np.inf)
+        for k in range(at.shape[1] + 1):
+            now_s = at[:, k] if k < at.shape[1] else np.full(len(at), 1e9)
+            due = move_s <= now_s
+            is_open = is_open ^ due
+            still = np.zeros(len(at))
+            rows.append([np.where(due, move_s, np.inf), still + chamber, is_open, still])
+            move_s = np.where(due, np.inf, move_s)
+            if k < at.shape[1]:
+                on = k % 2 == 0
+                acts = _is_last(at, k) & (energised != on)
+                energised = np.where(acts, on, energised)
+                delay_s = (rise_s if on else fall_s)[:, chamber]
+                cancelled = np.isfinite(move_s)
+                move_s = np.where(acts, np.where(cancelled, np.inf, now_s + delay_s), move_s)
+    return in_order(np.moveaxis(np.array(rows, dtype=np.float64), 2, 0))
+
+
+def in_order(switches: Floats) -> Floats:
+    """Return switches [strokes, k, 4] by time in s, without columns that no stroke has."""
+    order = np.argsort(switches[:, :, 0], axis=1, kind="stable")
+    most = max(1, int(np.isfinite(switches[:, :, 0]).sum(axis=1).max()))
+    return np.take_along_axis(switches, order[..., None], axis=1)[:, :most]
+
+
+def commands_of(edges: Edges, stroke: int) -> Commands:
+    """Return the commands of one of the strokes, as in a campaign."""
+    commands = []
+    for valve, each in edges.items():
+        at, on = each[stroke : stroke + 1], False
+        for k in range(at.shape[1]):
+            if _is_last(at, k)[0] and on != (k % 2 == 0):
+                on = not on
+                commands.append((float(at[0, k]), valve, FULL_DUTY if on else 0.0))
+    return sorted(commands)
