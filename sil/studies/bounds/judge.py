@@ -162,7 +162,7 @@ class Judge:
         row = np.arange(len(values) * size).repeat(meshes * shape[3])
         if releases:
             offset = np.linspace(0.0, 1.0, size * meshes).reshape(size, meshes, 1)
-            part = (np.arange(releases) + offset) / releases
+            part = np.minimum((np.arange(releases) + offset) / (releases - 1), 1.0)
             release_s = release_s[..., :1] + part * (release_s[..., -1:] - release_s[..., :1])
             at = release_s.ravel() / HELD_STEP_S
             before = np.clip(at.astype(np.int64) - 1, 0, states.shape[1] - 3)

@@ -7,20 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import msgspec
 import numpy as np
 
 from plant.parameters import ParameterSet
 from sil.studies.bounds.judge import LATER_S, SHIFTED, Judge, Judgement, Scatter
-from sil.studies.bounds.policy import (
-    ANSWER,
-    NO_PULSE,
-    STEM,
-    STEM_SIZE,
-    Timing,
-    at_releases,
-)
+from sil.studies.bounds.policy import ANSWER, NO_PULSE, STEM, STEM_SIZE, Timing, at_releases
 from sil.studies.policies import Floats
 
 Costs = Callable[[Floats], Floats]
@@ -41,7 +35,7 @@ class Progress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     waits_s: float = 0.0
     knots_s: list[float] = []
     values: list[float] = []
-    history: list[list[float]] = []
+    history: list[Annotated[list[float], msgspec.Meta(min_length=1, max_length=2)]] = []
 
     @property
     def policy(self) -> Floats:
@@ -63,7 +57,7 @@ class Progress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def cost_m_s(judgement: Judgement) -> Floats:
     """Return a cost [policies] in m/s: the hardest stop, smoothed, and the latest arrival.
 
-    Stops v are taken together as T ln mean exp(v / T), T = 0.01 m/s. Late: 0.2 m/s for 10 ms; not in
+    Stops v are taken together as T ln mean exp(v / T), T = 0.003 m/s. Late: 0.2 m/s for 10 ms; not in
     gear at the end: 1 m/s, and 0.5 m/s if it is so under all loads.
     """
     arrived = np.isfinite(judgement.late_s).reshape(len(judgement.late_s), -1)
@@ -71,7 +65,7 @@ def cost_m_s(judgement: Judgement) -> Floats:
     late_s = np.where(arrived, judgement.late_s.reshape(arrived.shape), LATER_S + 0.05)
     excess_s = np.maximum(late_s - (LATER_S - 2e-4), 0.0)
     worst = speed.max(axis=1)
-    smooth = worst + 0.01 * np.log(np.exp((speed - worst[:, None]) / 0.01).mean(axis=1))
+    smooth = worst + 0.003 * np.log(np.exp((speed - worst[:, None]) / 0.003).mean(axis=1))
     cost: Floats = smooth + 20.0 * excess_s.max(axis=1) + 10.0 * excess_s.mean(axis=1)
     return cost
 
@@ -149,7 +143,7 @@ class Problem:
     def costs(self, knots_s: Sequence[float], waits_s: float = 0.0) -> Costs:
         """Return the costs of the searches: commands early and late, ends of the mesh forces."""
         judge, delay_s = self._training.judge, self.delay_s + waits_s
-        return lambda values: cost_m_s(judge(values, knots_s, delay_s, 18))
+        return lambda values: cost_m_s(judge(values, knots_s, delay_s, 30))
 
     def judged(self, progress: Progress, judge: Judge) -> Judgement:
         """Return how the best policy of a search arrives."""

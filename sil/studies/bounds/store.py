@@ -7,30 +7,40 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal, get_args
 
 import msgspec
 import numpy as np
 
 from can_dbc import typed_toml
+from can_dbc.errors import InputError
 from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
-from sil.studies.bounds.policy import commands_of, edges_of
+from sil.studies.bounds.policy import ANSWER, STEM_SIZE, commands_of, edges_of
 from sil.studies.bounds.search import Problem, Progress
 from sil.studies.policies import GEARBOX
 
-SEARCHES = ("cma", "differential")
+Search = Literal["cma", "differential"]
+SEARCHES: tuple[Search, ...] = get_args(Search)
 
 
-def read_progress(folder: Path) -> dict[str, Progress]:
+def read_progress(folder: Path) -> dict[Search, Progress]:
     """Return what each search has done so far. Raises InputError for a file that is wrong."""
-    path, stored = folder / "policy.toml", {}
+    path = folder / "policy.toml"
+    stored: dict[Search, Progress] = {}
     if path.exists():
-        stored = typed_toml.convert(typed_toml.read_toml(path), dict[str, Progress], str(path))
+        table = typed_toml.read_toml(path)
+        stored = typed_toml.convert(table, dict[Search, Progress], str(path))
+    for name, each in stored.items():
+        size = STEM_SIZE + 2 * sum(ANSWER.values()) * len(each.knots_s)
+        if len(each.values) not in (0, size):
+            wrong = f"{name}.values: {len(each.values)} numbers; expected {size}"
+            raise InputError(f"{path}: {wrong}, for {len(each.knots_s)} knots")
     return dict.fromkeys(SEARCHES, Progress()) | stored
 
 
-def write_progress(folder: Path, progress: dict[str, Progress]) -> None:
+def write_progress(folder: Path, progress: dict[Search, Progress]) -> None:
     """Write what each search has done so far; what the values are: `sil.studies.bounds.policy`."""
     lines = []
     for name, each in progress.items():

@@ -21,7 +21,7 @@ from sil.report.figure import MS, Figure, Panel, Rule, Series, Span, Stack
 from sil.studies.bounds.judge import NOMINAL, SHIFTED, drawn
 from sil.studies.bounds.policy import Timing
 from sil.studies.bounds.search import Problem, Progress, softest_alone_m_s
-from sil.studies.bounds.store import SEARCHES, read_progress, write_campaign, write_progress
+from sil.studies.bounds.store import SEARCHES, Search, read_progress, write_campaign, write_progress
 from sil.studies.policies import GEARBOX, PUSH, FamilyModel
 from sil.studies.study import Row, RowResult, Study, StudyFile, Table
 from sil.studies.table import markdown
@@ -64,10 +64,9 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
 
     attempts: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 20
     """Attempts of each search on a row, stored ones included; 0: judge the stored policies."""
-    evaluations: Annotated[int, msgspec.Meta(ge=100)] = 1000
-    """Policies that an attempt of CMA-ES judges; one of differential evolution judges twice as many."""
-
-    known_evaluations: Annotated[int, msgspec.Meta(ge=100)] = 4000
+    evaluations: Annotated[int, msgspec.Meta(ge=100)] = 4000
+    """Policies that an attempt judges."""
+    known_evaluations: Annotated[int, msgspec.Meta(ge=100)] = 3000
     """Policies that are judged for each load that is known in advance."""
 
     def columns(self) -> tuple[str, ...]:
@@ -89,28 +88,28 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
         keys = typed_toml.convert(row.settings, RowKeys, study.source)
         parameters, timing = load(self.model), Timing(keys.opening_s, keys.closing_s)
         problem = Problem(parameters, timing, keys.delay_s, keys.mesh_n)
-        shipped = Path(study.source).parent / "bounds"
-        roots = [shipped] if study.folder is None else [study.folder / "policies", shipped]
+        roots = [Path(study.source).parent / "bounds"]
+        if study.folder is not None:
+            roots.insert(0, study.folder / "policies")
+            (roots[0] / keys.folder).mkdir(parents=True, exist_ok=True)
         progress = _newest(roots, keys.folder)
-        (roots[0] / keys.folder).mkdir(parents=True, exist_ok=True)
         while self.attempts > min(len(each.history) for each in progress.values()):
             if len(progress["cma"].history) < self.attempts:
                 others = _others(study, keys, roots)
                 progress["cma"] = problem.cma(progress["cma"], others, self.evaluations)
             if len(progress["differential"].history) < self.attempts:
-                second = problem.differential(progress["differential"], 2 * self.evaluations)
+                second = problem.differential(progress["differential"], self.evaluations)
                 progress["differential"] = second
-            write_progress(roots[0] / keys.folder, progress)
+            if study.folder is not None:
+                write_progress(roots[0] / keys.folder, progress)
         best = min(progress.values(), key=lambda each: each.worst_m_s)
         if not math.isfinite(best.worst_m_s):
             return study.without_figures("failed", "no policy arrives in time under every load")
         if study.folder is not None:
-            write_campaign(roots[0] / keys.folder, problem, best)
             write_progress(roots[0] / keys.folder, progress)
+            write_campaign(roots[0] / keys.folder, problem, best)
         figures = judged(problem, best) | {
-            "known_m_s": known_m_s(
-                self.model, timing, tuple(keys.mesh_n), self.known_evaluations
-            ),
+            "known_m_s": known_m_s(self.model, timing, tuple(keys.mesh_n), self.known_evaluations),
             "half_m_s": best.worst_after(0.5),
             "delay_s": keys.delay_s,
             "failed": 0.0,
@@ -180,9 +179,9 @@ def _others(study: Study, keys: RowKeys, roots: list[Path]) -> list[Progress]:
     ]
 
 
-def _newest(roots: list[Path], name: str) -> dict[str, Progress]:
+def _newest(roots: list[Path], name: str) -> dict[Search, Progress]:
     """Return what is stored of a row in the first folder that has it."""
-    folders = [root / name for root in roots if (root / name).is_dir()]
+    folders = [root / name for root in roots if (root / name / "policy.toml").exists()]
     return read_progress((folders or [roots[0] / name])[0])
 
 
@@ -215,13 +214,11 @@ def judged(problem: Problem, policy: Progress) -> dict[str, float]:
 
 
 @cache
-def known_m_s(
-    model: str, timing: Timing, mesh_n: tuple[float, ...], evaluations: int
-) -> float:
+def known_m_s(model: str, timing: Timing, mesh_n: tuple[float, ...], evaluations: int) -> float:
     """Return the hardest in m/s of the softest stops found for single loads, each known in advance."""
     parameters = load(model)
     return max(
         softest_alone_m_s(parameters, timing, each, impulse_n_s, evaluations)
         for each in {min(mesh_n), max(mesh_n)}
-        for impulse_n_s in (18.0, 40.0, 78.0, 140.0, 250.0)
+        for impulse_n_s in (18.0, 78.0, 250.0)
     )
