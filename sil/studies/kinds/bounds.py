@@ -145,7 +145,7 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
             ]
             panel = Panel("Hardest stop", "m/s", lines, spans=spans, rules=rules, limits=(0.0, 1.6))
             stacks.append(Stack("information delay, ms", [panel], f"mesh force {load_}", width=4.6))
-        title = "The softest policies found, over 18 to 250 N s (bars: to the second search)"
+        title = "The softest policies found (bars: to the second search)"
         return {"bounds": Figure(stacks, title, same_scale=True)}
 
     def texts(self, study: Study, table: Table) -> dict[str, str]:
