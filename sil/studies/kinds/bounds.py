@@ -54,9 +54,8 @@ class RowKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def folder(self) -> str:
         """The folder of the row's policies."""
         delays = (self.opening_s, self.closing_s, self.delay_s)
-        opening, closing, delay = (f"{MS * each:g}" for each in delays)
-        mesh = "_".join(f"{each:g}" for each in self.mesh_n)
-        return f"open_{opening}_close_{closing}_delay_{delay}_mesh_{mesh}"
+        name = "open_{:g}_close_{:g}_delay_{:g}_mesh".format(*(MS * each for each in delays))
+        return "_".join([name, *(f"{each:g}" for each in self.mesh_n)])
 
 
 class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="bounds"):
@@ -190,18 +189,17 @@ def judged(problem: Problem, policy: Progress) -> dict[str, float]:
 
     Under the draws a policy may be later than allowed; how late is a figure of its own.
     """
-    figures = {}
-    for name, scatter, step_n_s in (
-        ("worst_m_s", SHIFTED, 1.0),
-        ("exact_m_s", NOMINAL, 1.0),
-        ("fine_m_s", SHIFTED, 0.25),
-        ("drawn_m_s", drawn(problem.parameters), 4.0),
-    ):
-        judge = problem.judge_of(scatter, step_n_s)
-        judgement = problem.judged(policy, judge)
-        figures[name] = float(judgement.worst_m_s[0])
-    figures["drawn_m_s"] = float(judgement.impact_m_s.max())
-    figures["drawn_late_s"] = float(judgement.late_s.max())
+    judges = {
+        "worst_m_s": problem.judge,
+        "exact_m_s": problem.judge_of(NOMINAL),
+        "fine_m_s": problem.judge_of(SHIFTED, 0.25),
+    }
+    figures = {
+        name: float(problem.judged(policy, judge).worst_m_s[0]) for name, judge in judges.items()
+    }
+    draws = problem.judged(policy, problem.judge_of(drawn(problem.parameters), 4.0))
+    figures["drawn_m_s"] = float(draws.impact_m_s.max())
+    figures["drawn_late_s"] = float(draws.late_s.max())
     for name, load_of_stay in (("open_m_s", "none"), ("damper_m_s", "damper")):
         cases = [
             replace(GEARBOX.cases[0], load=load_of_stay, mesh_force_n=mesh, sync_impulse_n_s=x)
