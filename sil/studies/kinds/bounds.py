@@ -156,7 +156,7 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
             cells = {name: f"{value[name]:.3f}".replace("nan", "none") for name in COLUMNS}
             cells["drawn_late_s"] = f"{value['drawn_late_s']:.1f}"
             ends = [value[f"{name}_m_s"] for name in SEARCHES]
-            if not max(ends) - min(ends) <= 0.03:
+            if not np.ptp(ends) <= 0.03:
                 cells["worst_m_s"] += f" to {np.max(ends):.3f}".replace("nan", "?")
             spent = [f"{value[f'{name}_evaluations']:.0f}" for name in SEARCHES]
             rows.append([*names, *cells.values(), " + ".join(spent)])
