@@ -114,7 +114,7 @@ class Judge:
         self._end_s = float(self._plain_s.max()) + LATER_S
 
     def shifted(self, edges: Edges, scatter: Ints) -> Edges:
-        """Return the commands of strokes as the scatter of a number shifts them; none before 0 s."""
+        """Return commands as the scatter of a number [strokes] shifts them, in s; none before 0."""
         shift_s = np.array([each.shift_s for each in self.scatter])[scatter, None]
         return {valve: np.maximum(each + shift_s, 0.0) for valve, each in edges.items()}
 
