@@ -6,6 +6,8 @@ must answer alike. Checked by: tests/unit/sil/firmware/test_c_firmware.py
 
 from __future__ import annotations
 
+import atexit
+import gc
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from sil.firmware.contract import MAX_ARRIVED, Step, received
 from sil.firmware.cost import Cost, write_cost
 from sil.firmware.findings import FirmwareFailure
 from sil.firmware.reproduction import program
-from sil.firmware.wasm import Answer, Instance, Module, read_module
+from sil.firmware.wasm import Answer, Instance, Module, engine, read_module
 
 SIGNALS = "firmware.csv"
 
@@ -160,6 +162,14 @@ def _modules(path: Path, changed_ns: int) -> tuple[Module, ...]:
         return (Module(read_module(path), str(path)),)
     plain = Module(compiled(path), str(path))
     return (Module(compiled(path, sanitised=True), str(path)), plain)
+
+
+@atexit.register
+def _forget() -> None:
+    """Free the modules while the library that made them is still whole."""
+    _modules.cache_clear()
+    engine.cache_clear()
+    gc.collect()
 
 
 def _compare(answers: list[Answer]) -> None:
