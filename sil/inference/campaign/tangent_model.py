@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from plant.batch.batch import BATCH_TOLERANCE
 from plant.batch.tangents import MOVE
 from plant.effects.setup import Setup
 from sil.campaign.campaign import Floats
@@ -20,6 +19,7 @@ from sil.inference.campaign.model import CampaignModel, Moved
 from sil.inference.campaign.observations import StrokeObservation
 from sil.inference.spread import Spread
 
+STIFF = (1e-8, 3e-9, 1e-9)
 DELAYS = {"rise": "rise_ns", "fall": "fall_ns"}
 DELAY_STEP_S = 20e-9
 
@@ -45,10 +45,17 @@ class TangentModel(CampaignModel):
                 before, after = (getattr(s.timing, DELAYS[name]) for s in (setup, setups[-1]))
                 h = 1e-9 * (after - before)
             sizes.append(h)
-        # chambers that are full make a cylinder stiff: coarse steps would magnify a neighbour's distance
-        tolerance = 1e-8 if setup.p.air_kappa > 0.0 else BATCH_TOLERANCE
         predictor = self.strokes[k].predictor
-        states, found = predictor.derivatives(setup, setups, sizes, tolerance=tolerance)
+        if setup.p.air_kappa == 0.0:
+            states, found = predictor.derivatives(setup, setups, sizes)
+        else:
+            # chambers that are full make a cylinder stiff, and steps at the limit of stability magnify a
+            # neighbour's distance, never the opposite: the least of several sequences of steps is right
+            others = [predictor.derivatives(setup, setups, sizes, tolerance=t) for t in STIFF]
+            states = others[0][0]
+            found = [
+                _least(rates) for rates in zip(*(rates for _states, rates in others), strict=True)
+            ]
         base = self.numbers_of(k, setup, states, False)
         columns: dict[str, Floats] = {}
         for (name, step), other, h, rates in zip(steps.items(), setups, sizes, found, strict=True):
@@ -57,6 +64,15 @@ class TangentModel(CampaignModel):
             else:
                 columns[name] = (self.numbers_of(k, other, states + h * rates, False) - base) / h
         return base, columns
+
+
+def _least(rates: Sequence[Floats | None]) -> Floats | None:
+    """Return the derivative [n, states] in which each state, in its own unit, changes least in all; None without any."""
+    some = [one for one in rates if one is not None]
+    if not some:
+        return None
+    least = np.argmin([np.sum(one**2, axis=0) for one in some], axis=0)
+    return np.stack([some[j][:, column] for column, j in enumerate(least)], axis=1)
 
 
 def model_of(strokes: Sequence[StrokeObservation], spread: Spread) -> CampaignModel:
