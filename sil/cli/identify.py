@@ -25,7 +25,7 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify; write the model file and a picture; print the values; 1 if the model does not fit."""
-    from plant.parameters import load
+    from plant.parameters import load_actuator
     from sil.campaign.campaign import load_campaign
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.inference.identify.estimate import Identified, model_of
     from sil.report.picture import save
 
-    parameters = load(arguments.model)
+    parameters = load_actuator(arguments.model)
     campaign = load_campaign(arguments.campaign)
     module = importlib.import_module(f"sil.inference.identify.{WHAT[arguments.what]}")
     method = getattr(module, f"identify_{arguments.what}")
