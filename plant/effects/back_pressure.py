@@ -14,6 +14,7 @@ from plant.kernel.layout import FIXED
     "the valves discharge against a pressure above the atmosphere's",
     EffectParameter("pressure_pa", "Pa", 0.0, 0.0, 2e5, 1e4, 1),
     look_alikes=("exhaust_clog", "residual_pressure"),
+    sentence="The valves discharge against {} above atmosphere",
 )
 def back_pressure(setup: Setup, values: dict[str, float]) -> None:
     """Pressure behind all outlets above the atmosphere's, which acts on the rod as before."""

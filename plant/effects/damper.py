@@ -14,6 +14,7 @@ from plant.effects.setup import Setup
     EffectParameter("air_fraction", "-", 0.0, 0.0, 0.5, 0.01, 1),
     needs=("damper",),
     look_alikes=("damper_clog",),
+    sentence="The oil holds {} of air more",
 )
 def aeration(setup: Setup, values: dict[str, float]) -> None:
     """More free air: 1/kappa + air P_atm / P^2."""
@@ -28,6 +29,7 @@ def aeration(setup: Setup, values: dict[str, float]) -> None:
     EffectParameter("factor", "-", 1.0, 0.05, 3.0, 0.2, -1),
     needs=("damper",),
     look_alikes=("damper_misalignment",),
+    sentence="The damper's small outlet is {}",
 )
 def clog(setup: Setup, values: dict[str, float]) -> None:
     """Small outlet times a factor."""
@@ -42,6 +44,7 @@ def clog(setup: Setup, values: dict[str, float]) -> None:
     EffectParameter("force_n", "N", 0.0, 0.0, 2000.0, 50.0, 1),
     needs=("damper",),
     look_alikes=("dynamic_friction",),
+    sentence="The damper adds {} of friction",
 )
 def misalignment(setup: Setup, values: dict[str, float]) -> None:
     """Extra friction of the stay while the damper is mounted."""

@@ -75,6 +75,7 @@ class Effect:
     applies it; scope: what it belongs to, or a function of its values; on_run: its values as a run
     applies them.
 
+    sentence: what it means, with {} for its size; noun: what would have been seen, of the effects named first;
     tolerance: the tolerance of healthy units that acts the same way; switching: the instant of a
     valve ("rise" or "fall") that it moves; sized_by: the fitted parameters that say how large it is;
     form_error: standard deviation of the first parameter, as a share, because the form is a guess (a gap has no
@@ -93,6 +94,8 @@ class Effect:
     on_run: Callable[[Values], Values] = dict
     needs: tuple[Need, ...] = ()
     variants: tuple[Variant, ...] = (Variant(),)
+    sentence: str = ""
+    noun: str = ""
     tolerance: str = ""
     switching: str = ""
     sized_by: Literal["first", "any", "none"] = "first"

@@ -28,6 +28,8 @@ CLOG = EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1)
     CDA,
     form_error=0.05,
     look_alikes=("leak_to_atmosphere", "exhaust_clog"),
+    sentence="Air leaks past the piston through {}",
+    noun="a leak",
 )
 def piston_leak(setup: Setup, values: dict[str, float]) -> None:
     """Orifice C_d A across each piston, from chamber to chamber."""
@@ -54,6 +56,7 @@ def leak_on_run(values: Values) -> Values:
     ),
     on_run=leak_on_run,
     look_alikes=("inlet_clog", "hose_droop"),
+    sentence="A charged chamber leaks outside through {}",
 )
 def leak_out(setup: Setup, values: dict[str, float]) -> None:
     """Orifice C_d A from a chamber to the atmosphere.
@@ -91,6 +94,7 @@ def follow_pressure(setup: Setup, slot: float, pressures: Floats, flows: Floats)
     scope="run",
     tolerance="supply",
     look_alikes=("inlet_clog", "hose_droop"),
+    sentence="The supply pressure is {} below the stated one",
 )
 def supply_low(setup: Setup, values: dict[str, float]) -> None:
     """Return true supply pressure below the stated one by a share."""
@@ -132,6 +136,7 @@ def droop(setup: Setup, values: dict[str, float]) -> None:
     CLOG,
     tolerance="flow_out",
     look_alikes=("dead_volume_passive", "residual_pressure"),
+    sentence="Exhaust flows are {}",
 )
 def exhaust_clog(setup: Setup, values: dict[str, float]) -> None:
     """Exhaust flows times a factor."""
@@ -146,6 +151,7 @@ def exhaust_clog(setup: Setup, values: dict[str, float]) -> None:
     CLOG,
     tolerance="flow_in",
     look_alikes=("dead_volume_charge",),
+    sentence="Charge flows are {}",
 )
 def inlet_clog(setup: Setup, values: dict[str, float]) -> None:
     """Charge flows times a factor."""
@@ -167,6 +173,7 @@ def scope_of_volume(values: Values) -> Scope:
     scope=scope_of_volume,
     variants=(Variant(), Variant("outer chambers", {"where": 1.0}, needs=("length stroke",))),
     look_alikes=("alpha_speed",),
+    sentence="The charged chamber has {} more volume",
 )
 def dead_charge(setup: Setup, values: dict[str, float]) -> None:
     """Extra dead volume on the chamber that drives the stroke (where 0) or on B, F, 1 (where 1)."""
@@ -187,6 +194,7 @@ def dead_charge(setup: Setup, values: dict[str, float]) -> None:
     scope=scope_of_volume,
     variants=(Variant(), Variant("inner chamber", {"where": 1.0}, needs=("length stroke",))),
     look_alikes=("alpha_speed",),
+    sentence="The discharging chamber has {} more volume",
 )
 def dead_passive(setup: Setup, values: dict[str, float]) -> None:
     """Extra dead volume on the chamber that the stroke compresses (where 0) or N, 2 (where 1)."""
@@ -212,6 +220,7 @@ def dead_passive(setup: Setup, values: dict[str, float]) -> None:
         Variant("every chamber", {"where": 3.0}),
         Variant("vented", {"where": 4.0}, needs=("length stroke",)),
     ),
+    sentence="A chamber begins {} above atmosphere",
 )
 def residual(setup: Setup, values: dict[str, float]) -> None:
     """Overpressure at time 0.

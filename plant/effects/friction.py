@@ -20,6 +20,8 @@ FACTOR = EffectParameter("factor", "-", 1.0, 0.2, 10.0, 0.5, 1)
     FACTOR,
     tolerance="friction",
     look_alikes=("static_friction", "stribeck", "seal_pressure_friction", "added_mass"),
+    sentence="Sliding friction is {}",
+    noun="friction",
 )
 def scale_running(setup: Setup, values: dict[str, float]) -> None:
     """Coulomb and viscous level times a factor, on stay and pistons (not the truck's linkage)."""
@@ -35,6 +37,7 @@ def scale_running(setup: Setup, values: dict[str, float]) -> None:
     FACTOR,
     tolerance="friction",
     look_alikes=("stribeck", "valve_open_delay"),
+    sentence="Breakaway friction is {}",
 )
 def scale_static(setup: Setup, values: dict[str, float]) -> None:
     """Breakaway force times a factor."""
@@ -91,6 +94,8 @@ def stribeck(setup: Setup, values: dict[str, float]) -> None:
         lambda motion, _shape: np.abs(motion.speed_m_s),
         sign=0,
     ),
+    sentence="Friction differs with direction by {}",
+    noun="friction that differs with direction",
 )
 def asymmetry(setup: Setup, values: dict[str, float]) -> None:
     """Friction times 1 + a towards + (backward, extension), 1 - a towards -.

@@ -14,6 +14,7 @@ from plant.effects.setup import Setup
     EffectParameter("travel_m", "m", 0.0, -0.012, 0.02, 0.001),
     needs=("length stroke",),
     look_alikes=("stop_wear", "dead_volume_charge"),
+    sentence="The free travel on the stay is changed by {}",
 )
 def free_play(setup: Setup, values: dict[str, float]) -> None:
     """Free travel of the pistons on the stay longer or shorter (length stroke)."""
@@ -27,6 +28,7 @@ def free_play(setup: Setup, values: dict[str, float]) -> None:
     "the engaged end stop has moved",
     EffectParameter("offset_m", "m", 0.0, -0.005, 0.005, 0.0003),
     look_alikes=("end_stop_bounce", "sensor_gain"),
+    sentence="The engaged end stop has moved by {}",
 )
 def stop_wear(setup: Setup, values: dict[str, float]) -> None:
     """Return the engaged end stop has moved outward."""
@@ -40,6 +42,7 @@ def stop_wear(setup: Setup, values: dict[str, float]) -> None:
     "more inertia on the stay",
     EffectParameter("mass_kg", "kg", 0.0, -0.8, 50.0, 0.5, 1),
     look_alikes=("external_force",),
+    sentence="The stay carries {} more mass",
 )
 def added_mass(setup: Setup, values: dict[str, float]) -> None:
     """More inertia on the stay."""
@@ -52,6 +55,7 @@ def added_mass(setup: Setup, values: dict[str, float]) -> None:
     "force",
     "constant force on the stay",
     EffectParameter("force_n", "N", 0.0, -2000.0, 2000.0, 50.0),
+    sentence="A constant force of {} acts on the stay",
 )
 def external(setup: Setup, values: dict[str, float]) -> None:
     """Constant force on the stay, towards + (backward, extension)."""

@@ -17,6 +17,7 @@ from plant.effects.setup import Setup
     scope="instrument",
     needs=("internal position",),
     look_alikes=("sensor_gain",),
+    sentence="The sensor's coil is {} warmer than assumed",
 )
 def temperature(setup: Setup, values: dict[str, float]) -> None:
     """Return the coil is warmer than the temperature compensated for."""
@@ -33,6 +34,7 @@ def temperature(setup: Setup, values: dict[str, float]) -> None:
     EffectParameter("gain", "-", 0.0, -0.5, 0.5, 0.05),
     scope="instrument",
     needs=("internal position",),
+    sentence="The position sensor's gain is off by {}",
 )
 def gain(setup: Setup, values: dict[str, float]) -> None:
     """Return reported position times 1 + gain."""
@@ -48,6 +50,7 @@ def gain(setup: Setup, values: dict[str, float]) -> None:
     scope="instrument",
     needs=("internal position",),
     look_alikes=("clock_skew",),
+    sentence="The position is published {} late",
 )
 def delay(setup: Setup, values: dict[str, float]) -> None:
     """Return the reported position is published later."""
@@ -72,6 +75,7 @@ def delay(setup: Setup, values: dict[str, float]) -> None:
         Variant("offset alone", {"drift": 0.0}, prior=0.5),
     ),
     sized_by="any",  # a clock may drift without being off at the start
+    sentence="The control unit's clock is off by {}",
 )
 def skew(setup: Setup, values: dict[str, float]) -> None:
     """Return the control unit's time runs late against the recorder: offset + drift t."""
@@ -87,6 +91,7 @@ def skew(setup: Setup, values: dict[str, float]) -> None:
     EffectParameter("lag_s", "s", 0.0, 0.0, 0.1, 0.002, 1),
     scope="instrument",
     look_alikes=("valve_creep",),
+    sentence="Pressure lines lag by {}",
 )
 def line_lag(setup: Setup, values: dict[str, float]) -> None:
     """Pressure lines: first-order lag before the gauges."""

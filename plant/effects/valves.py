@@ -16,6 +16,8 @@ from plant.effects.tolerances import shift_fall, shift_rise
     tolerance="rise",
     switching="rise",
     look_alikes=("valve_delay_pressure", "valve_creep"),
+    sentence="Valves open {} late",
+    noun="a delay",
 )
 def open_later(setup: Setup, values: dict[str, float]) -> None:
     """Return opening delay longer by a time."""
@@ -35,6 +37,7 @@ def open_later(setup: Setup, values: dict[str, float]) -> None:
         Variant("from atmosphere", {"reference_pa": 101325.0}),
     ),
     switching="rise",
+    sentence="The valves' opening delay changes with supply pressure by {}",
 )
 def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     """Return opening delay plus slope (P_s - reference): the plunger opens against the supply."""
@@ -50,6 +53,7 @@ def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     tolerance="fall",
     switching="fall",
     look_alikes=("valve_creep",),
+    sentence="Valves close {} late",
 )
 def close_later(setup: Setup, values: dict[str, float]) -> None:
     """Return closing delay longer by a time."""
@@ -63,6 +67,7 @@ def close_later(setup: Setup, values: dict[str, float]) -> None:
     "the plunger crosses slowly instead of at once",
     EffectParameter("travel_s", "s", 0.0, 0.0, 0.1, 0.005, 1),
     scope="stroke",
+    sentence="The valves' plungers take {} to cross",
 )
 def creep(setup: Setup, values: dict[str, float]) -> None:
     """Return the plunger crosses in a straight ramp of this duration, both ways."""

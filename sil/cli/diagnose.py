@@ -240,6 +240,8 @@ def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) 
 
 def print_causes(found: dict[str, Any]) -> None:
     """Print what is wrong, how sure that is, what it explains and what to do next."""
+    from sil.inference.thresholds import UNNAMED
+
     print(f"{found['campaign']}: {found['verdict']}")
     print(f"  {found.get('headline') or found['verdict']}")
     for cause in found["causes"]:
@@ -250,13 +252,13 @@ def print_causes(found: dict[str, Any]) -> None:
         what = "Explains" if " from " in found["explains"] else "Residual"
         print(f"  {what}: {found['explains']}, on strokes that were not used for the fit")
     advice = {
-        "unnamed": "look at the largest residuals in report.html; an effect of your own can describe it",
+        UNNAMED: "look at the largest residuals in report.html; an effect of your own can describe it",
         "named": "run the control loop with extended_model.toml to see what it changes",
     }
     following = found.get("next_experiment")
     if following is not None:
         print(f"  Next: measure {following['strokes'][0]['label']}; --next writes the strokes")
-    elif found["verdict"] == "unnamed" or (found["verdict"] == "named" and found["extended_model"]):
+    elif found["verdict"] == UNNAMED or (found["verdict"] == "named" and found["extended_model"]):
         print(f"  Next: {advice[found['verdict']]}")
 
 

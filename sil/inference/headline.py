@@ -8,52 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from plant.effects import CATALOGUE
 from sil.files.quantity import quantity
 from sil.inference.thresholds import UNNAMED
 
 if TYPE_CHECKING:
     from sil.inference.report import Cause, Interval
 
-SENTENCES = {
-    "added_mass": "The stay carries {} more mass",
-    "back_pressure": "The valves discharge against {} above atmosphere",
-    "clock_skew": "The control unit's clock is off by {}",
-    "damper_clog": "The damper's small outlet is {}",
-    "damper_misalignment": "The damper adds {} of friction",
-    "dead_volume_charge": "The charged chamber has {} more volume",
-    "dead_volume_passive": "The discharging chamber has {} more volume",
-    "dynamic_friction": "Sliding friction is {}",
-    "exhaust_clog": "Exhaust flows are {}",
-    "external_force": "A constant force of {} acts on the stay",
-    "free_play": "The free travel on the stay is changed by {}",
-    "friction_asymmetry": "Friction differs with direction by {}",
-    "gauge_line_lag": "Pressure lines lag by {}",
-    "inlet_clog": "Charge flows are {}",
-    "leak_to_atmosphere": "A charged chamber leaks outside through {}",
-    "oil_aeration": "The oil holds {} of air more",
-    "piston_leak": "Air leaks past the piston through {}",
-    "residual_pressure": "A chamber begins {} above atmosphere",
-    "sensor_delay": "The position is published {} late",
-    "sensor_gain": "The position sensor's gain is off by {}",
-    "sensor_temperature": "The sensor's coil is {} warmer than assumed",
-    "static_friction": "Breakaway friction is {}",
-    "stop_wear": "The engaged end stop has moved by {}",
-    "supply_low": "The supply pressure is {} below the stated one",
-    "valve_creep": "The valves' plungers take {} to cross",
-    "valve_delay_pressure": "The valves' opening delay changes with supply pressure by {}",
-    "valve_open_delay": "Valves open {} late",
-    "valve_slow_close": "Valves close {} late",
-}
-"""What a cause means, with a place for its size; others are said by what their effect is."""
+SPRING = {"stiffness": "a spring"}
+"""Nouns of causes that are no effects: what would have been seen."""
 
-SEEN = {
-    "piston_leak": "a leak",
-    "valve_open_delay": "a delay",
-    "dynamic_friction": "friction",
-    "friction_asymmetry": "friction that differs with direction",
-    "stiffness": "a spring",
-}
-"""What would have been seen, the first ones of those that would."""
+FIRST = ("leak", "valve timing", "friction")
+"""Classes of what would have been seen, those named first."""
 
 _UNITS = {"s/Pa": (1e8, "ms/bar"), "m^2": (1e6, "mm²"), "m^3": (1e6, "cm³"), "": (100.0, "%")}
 
@@ -88,8 +54,8 @@ def size_of(name: str, item: Interval) -> tuple[str, str]:
 def sentence_of(cause: Cause) -> str:
     """Return what a cause means, with the size of its main parameter and that one's interval."""
     name, item = next(iter(cause.parameters.items()))
-    text = SENTENCES.get(cause.id)
-    if text is None:
+    text = CATALOGUE[cause.id].sentence if cause.id in CATALOGUE else ""
+    if not text:
         text = f"{cause.what or cause.id.replace('_', ' ')}, {name.rpartition('_')[0] or name} {{}}"
     size, interval = size_of(name, item)
     return f"{text.format(size)} ({interval})"
@@ -98,11 +64,18 @@ def sentence_of(cause: Cause) -> str:
 def seen_sentence(sizes: Iterable[tuple[str, float, float, str]]) -> str:
     """Return what would have been seen of (id, value, neutral, unit); empty if nothing would."""
     of = {name: (value, neutral, unit) for name, value, neutral, unit in sizes}
-    names = [name for name in SEEN if name in of][:3] or list(of)[:3]
+    nouns = {
+        item.id: item.noun
+        for item in sorted(
+            CATALOGUE.values(), key=lambda item: (*FIRST, item.cause_class).index(item.cause_class)
+        )
+        if item.noun
+    } | SPRING
+    names = [name for name in nouns if name in of][:3] or list(of)[:3]
     texts = []
     for name in names:
         value, neutral, unit = of[name]
-        what = SEEN.get(name, name.replace("_", " "))
+        what = nouns.get(name, name.replace("_", " "))
         if neutral:
             texts.append(
                 f"{what} above {'+' if value > neutral else ''}{sized(value / neutral - 1.0, '')}"

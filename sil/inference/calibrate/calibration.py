@@ -199,7 +199,7 @@ def residuals(
 
 
 def covariances(parts: list[Floats]) -> tuple[float, float]:
-    """Return the mean square of residuals, and their excess over white noise summed over all lags.
+    """Return the mean square of residuals, arrays [n] in one unit, and their excess over white noise summed over all lags.
 
     The sum ends at the first lag that is not positively correlated.
     """

@@ -51,7 +51,7 @@ def test_run_is_the_command(tmp_path: Path) -> None:
     assert found.signals["position_m"].max() == pytest.approx(0.01285)
     assert len(found.estimate[0]) == len(found.estimate[1]) > 10
     assert len(found.frames) == output["metrics"]["frames"]
-    assert repr(found).startswith("Run(failed, 18 of 22 checks met, 1 shift in 51.1")
+    assert repr(found).startswith("Run(failed, 19 of 23 checks met, 1 shift in 51.1")
     assert len(repr(found)) < 120 and found.warnings == []
 
 

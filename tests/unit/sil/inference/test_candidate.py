@@ -20,7 +20,7 @@ INERT = (
     Parameters.detent_width,
     Parameters.alpha_v0,
 )
-ALL = candidates(("damper", "internal position", "length stroke"))
+ALL = candidates(("damper", "internal position", "length stroke", "process exponents"))
 
 
 def test_every_named_cause_stands_in_the_search() -> None:
