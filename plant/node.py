@@ -101,8 +101,9 @@ class PlantNode:
 
     Its events are the instants at which it publishes, all of them a static schedule. Everything
     inside an interval acts at its own instant: arrival of a command, timeout, end of a blow, move
-    of a valve, measurement; at one instant frames come before timers, timers before valve moves,
-    these in the order B, N, F, and a measurement or trace row sees them all.
+    of a valve, measurement; at one instant frames come before timers, timers before valve moves
+    (one that is due is not cancelled by a command of that instant), these in the order B, N, F,
+    and a measurement or trace row sees them all.
 
     Events handed to `on_event`: "stay_stop" and the other resets of the motion (position_m,
     speed_m_s, energy_j, and peak_force_n of a contact of stiffness stops.soft_k that takes that

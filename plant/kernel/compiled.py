@@ -40,7 +40,8 @@ if numba.config.DISABLE_JIT:
 def kernel_sources(package: Path | None = None) -> list[Path]:
     """Return all modules of the folders that hold compiled functions, in a fixed order."""
     root = package or Path(__file__).parent.parent
-    folders = ("kernel", "parts", "devices", "equations", "integrator", "batch", "systems")
+    folders = ["kernel", "parts", "devices", "equations", "integrator"]
+    folders += ["batch", "systems", "effects"]
     return [path for name in folders for path in sorted((root / name).glob("*.py"))]
 
 

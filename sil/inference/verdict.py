@@ -137,7 +137,7 @@ def judge(
 ) -> list[Judged]:
     """Held-out evaluation of fits, best score first.
 
-    known: earlier evaluations, which are not repeated; new ones are added.
+    evaluated: earlier evaluations, which are not repeated; new ones are added.
     """
     evaluated = {} if evaluated is None else evaluated
     model = fitter.model
@@ -365,7 +365,7 @@ def _is_accepted(item: E, healthy: E, judged: Sequence[E], blocks: int) -> bool:
     """Return whether a hypothesis explains enough, and each of its causes gains enough."""
     most = LIMITS.max_unexplained_share * healthy.whole.excess
     if item.whole.excess > most and item.whole.rms > LIMITS.max_residual_ratio:
-        return not item.ids
+        return False
     needed = LIMITS.needed_gain(blocks)
     if len(item.ids) > 1:
         inexact = 0.5 * LIMITS.form_error**2 * healthy.whole.excess

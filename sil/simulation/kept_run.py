@@ -1,4 +1,4 @@
-"""A run that was written to a folder, read back: result, trace, and its events by time after the request.
+"""A run that was written to a folder, read back for comparisons: result, trace, and its events by time after the request.
 
 Checked by: tests/unit/sil/cli/test_compare.py
 """

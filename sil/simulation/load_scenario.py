@@ -99,6 +99,8 @@ def from_table(
         for setting_path, value in settings.items():
             value = value.tolist() if hasattr(value, "tolist") else copy.deepcopy(value)  # numpy
             _apply(raw, setting_path, value, parameters)
+            if setting_path == "sensor.period_s" and f"controller.{setting_path}" not in settings:
+                _inside(raw, "controller", "sensor").pop("period_s", None)
         typed_toml.refuse_not_finite(raw, "--set")
         scenario = _checked(raw, "--set")
         if scenario.firmware:
@@ -163,7 +165,7 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
     raw.update(without_units(raw, source))
     scenario = typed_toml.convert(raw, Scenario, source)
     if "period_s" in raw.get("sensor", {}):
-        _inside(raw, "controller", "sensor")["period_s"] = raw["sensor"]["period_s"]
+        _inside(raw, "controller", "sensor").setdefault("period_s", raw["sensor"]["period_s"])
     if vehicle := raw.get("vehicle"):
         ratios = {key: vehicle[key] for key in vehicle if key.startswith("ratio_")}
         gears = {key: vehicle[key] for key in vehicle if key.startswith("gear_")}

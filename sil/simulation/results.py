@@ -1,4 +1,4 @@
-"""The result of a run: result.json and JUnit."""
+"""The result of a run: result.json, from whose scenario, model and seed `opc4 run result.json` repeats it, and JUnit."""
 
 from __future__ import annotations
 

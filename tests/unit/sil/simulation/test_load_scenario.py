@@ -178,6 +178,11 @@ def test_set(tmp_path: Path, setting: str, path: str | None, value: object) -> N
 def test_sensor_period_sets_the_firmwares_too(tmp_path: Path) -> None:
     loaded = load(tmp_path, GOOD, settings={"sensor.period_s": 0.005})
     assert loaded.scenario.controller.sensor.period_s == 0.005
+    apart = "[sensor]\nperiod_s = 0.005\n[controller.sensor]\nperiod_s = 0.01\n"
+    loaded = load(tmp_path, GOOD + apart)
+    assert loaded.scenario.controller.sensor.period_s == 0.01
+    loaded = load(tmp_path, GOOD + apart, settings={"sensor.period_s": 0.02})
+    assert loaded.scenario.controller.sensor.period_s == 0.02
 
 
 @pytest.mark.parametrize(
