@@ -84,7 +84,7 @@ def exits_raise() -> Iterator[None]:
 
     def exit_here(status: int) -> Any:
         if os.getpid() != process:
-            return _LEAVE(status)
+            return _LEAVE(status)  # pragma: no cover - ends the forked process, and its coverage
         raise ProcessExit(f"os._exit({status})")
 
     os._exit = exit_here

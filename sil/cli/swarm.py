@@ -55,7 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress("runs") as progress:
         for generation in hunt.run(runner, arguments.runs, until_s):
             _store(folder, generation)
-            progress(sum(each.runs for each in hunt.generations), arguments.runs or 0)
+            runs = sum(each.runs for each in hunt.generations)
+            progress(runs, max(arguments.runs or 0, runs))
     files = write_failures(hunt, folder)
     result = write_page(hunt, files, folder)
     if arguments.json:

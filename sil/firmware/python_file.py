@@ -194,8 +194,8 @@ def _end_idle() -> None:
 
 def _take_server() -> _Server:
     """Return a server that no firmware uses: of a study's many runs only the first starts one."""
-    while _idle:
-        server = _idle.pop()
+    for server in [server for server in _idle if server.owner == os.getpid()]:
+        _idle.remove(server)
         if server.is_alive:
             return server
     return _Server()

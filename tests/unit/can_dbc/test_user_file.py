@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from can_dbc.user_file import read_user_file, read_user_text
+from can_dbc.user_file import ProcessExit, exits_raise, read_user_file, read_user_text
 
 
 def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
@@ -40,3 +40,14 @@ def test_size_and_encoding_are_bounded(tmp_path: Path) -> None:
     path.write_bytes(b"a = 1\nb = '\xfc'\n")
     with pytest.raises(InputError, match="line 2: byte 0xFC is not UTF-8; expected TOML"):
         read_user_text(path, "TOML")
+
+
+def test_an_exit_of_a_users_code_is_an_error_but_ends_a_process_that_it_forked() -> None:
+    leave = os._exit
+    with pytest.raises(ProcessExit, match=r"os\._exit\(3\)"), exits_raise():
+        os._exit(3)
+    with exits_raise():
+        if (child := os.fork()) == 0:
+            os._exit(7)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    assert os._exit is leave

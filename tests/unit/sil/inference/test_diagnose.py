@@ -98,7 +98,7 @@ CYLINDER = {
         ("fixed", 0.006, True),
         ("length", 0.006, False),
         ("length", 0.003, True),
-        ("cylinder", 0.003, False),
+        ("cylinder", 0.006, False),
         ("cylinder", 0.006, True),
     ],
 )
