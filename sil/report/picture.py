@@ -53,7 +53,7 @@ def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = 110) -> b
     image, vectors = BytesIO(), BytesIO()
     with warnings.catch_warnings(), matplotlib.rc_context({"svg.hashsalt": name}):
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # of a name: drawn as a box
-        warnings.filterwarnings("ignore", "constrained_layout not applied")  # a name too long for it
+        warnings.filterwarnings("ignore", "constrained_layout not")  # applied: a long name
         canvas = FigureCanvasAgg(drawing)
         layout: Any = drawing.get_layout_engine()
         layout.execute(drawing)
