@@ -94,6 +94,8 @@ class Comparison:
             SwitchingSignal("shift in process", "begins", "ends"),
         ]
         self.states = [StateHistory("state"), StateHistory("confirmed gear")]
+        self.reported_ns: tuple[dict[str, int], ...] = ({}, {})
+        """When each side first reported each fault, in ns."""
         self.excerpts = ExcerptRecorder()
         self.warm_up_ticks = 0
         self._warm_since: int | None = None
@@ -261,6 +263,8 @@ class Comparison:
             if status is not None:
                 for history, value in zip(self.states, status, strict=False):
                     history.take(side, time_ns, value.name)
+                for fault in status[3]:
+                    changed |= self.reported_ns[side].setdefault(fault.name, time_ns) == time_ns
             names.append("" if status is None else status[0].name)
             estimates.append(None if status is None else status[2])
         self.excerpts.take(Row(time_ns, coils, names, estimates), changed, commands_part)

@@ -33,13 +33,17 @@ def excerpts_figure(
     labels: tuple[str, str],
     base_ns: int,
     positions: Sequence[Position] = (),
+    marks: Callable[[Panel], Panel] = lambda panel: panel,
 ) -> Figure:
-    """Return estimates, coils and states of both sides on one time axis, with a zoom per scene."""
+    """Return estimates, coils and states of both sides on one time axis, with a zoom per scene.
+
+    marks: adds the faults to a panel.
+    """
     parts = without_repetition(scenes)
     pieces = [([(row.time_ns + base_ns) / NS_PER_MS for row in rows], rows) for rows in parts]
     pieces = [(times, rows) for times, rows in pieces if rows]
     estimates = _estimates(pieces, labels, base_ns, positions)
-    panels = [estimates, _coils(pieces, labels), _states(pieces, labels)]
+    panels = [marks(p) for p in (estimates, _coils(pieces, labels), _states(pieces, labels))]
     zooms = []
     for scene in scenes:
         times = [(row.time_ns + base_ns) / NS_PER_MS for row in scene.rows]
@@ -47,7 +51,10 @@ def excerpts_figure(
             name = f"{times[0] / 1e3:.3f} s{', differs' if scene.differs else ''}"
             zooms.append(Zoom(name, times[0], _end(times)))
     title = "the commands differ" if any(s.differs for s in scenes) else "the commands are equal"
-    return Figure([Stack("time of the log, ms", panels, zooms=zooms, width=10.8)], title)
+    limits = (pieces[0][0][0], max(_end(times) for times, _ in pieces))
+    return Figure(
+        [Stack("time of the log, ms", panels, zooms=zooms, limits=limits, width=10.8)], title
+    )
 
 
 Piece = tuple[list[float], list[Row]]
@@ -147,7 +154,9 @@ def _states(pieces: Sequence[Piece], labels: tuple[str, str]) -> Panel:
     return Panel("Firmware state", spans=spans, ticks=ticks, height=76, limits=(0.0, 2.0))
 
 
-def positions_figure(positions: Sequence[Position], base_ns: int) -> Figure:
+def positions_figure(
+    positions: Sequence[Position], base_ns: int, marks: Callable[[Panel], Panel]
+) -> Figure:
     """Return the plant's recorded and replayed position, and their difference."""
     both = [p for p in positions if np.isfinite(p.recorded_m)]
     times = np.array([(p.time_ns + base_ns) / NS_PER_MS for p in both])
@@ -162,7 +171,9 @@ def positions_figure(positions: Sequence[Position], base_ns: int) -> Figure:
         Panel("Position of the plant", "mm", lines, height=230),
         Panel("Difference", "mm", difference, height=110),
     ]
-    return Figure([Stack("time of the log, ms", panels, width=10.8)])
+    panels = [marks(panel) for panel in panels]
+    limits = (float(times[0]), float(times[-1]))
+    return Figure([Stack("time of the log, ms", panels, limits=limits, width=10.8)])
 
 
 ROLES = ("truth", "after", "before")

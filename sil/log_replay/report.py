@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from statistics import median
@@ -30,10 +31,12 @@ from sil.log_replay.truck_replay import (
     truck_verdict,
 )
 from sil.log_replay.truck_shift import NAMES
-from sil.report.figure import Figure
+from sil.report.figure import Figure, Panel
 from sil.report.picture import save
 from sil.report.plots import Group, plots
+from sil.report.run_figure import with_faults
 from sil.report.shell import Head, Picture, render
+from sil.simulation.fault_marks import fault_spans
 
 MOST_STATES_SHOWN = 60
 
@@ -405,8 +408,11 @@ def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[
     scenes = outcome.comparison.excerpts.excerpts
     positions = outcome.plant.positions if outcome.plant is not None else []
 
+    marks = _fault_marks(outcome)
+
     def drawn(part: Sequence[Excerpt]) -> Figure:
-        return figures.excerpts_figure(part, outcome.labels, outcome.grid.origin_ns, positions)
+        base_ns = outcome.grid.origin_ns
+        return figures.excerpts_figure(part, outcome.labels, base_ns, positions, marks)
 
     a, b = outcome.labels
     alt = "Position, coils and states of both sides over time"
@@ -419,12 +425,32 @@ def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[
     ]
     groups = plots(drawn(scenes)) if scenes else []
     if any(np.isfinite(p.recorded_m) for p in positions):
-        figure = figures.positions_figure(positions, outcome.grid.origin_ns)
+        figure = figures.positions_figure(positions, outcome.grid.origin_ns, marks)
         alt = "Recorded and replayed position over time"
         caption = "The plant's position as recorded and as replayed."
         pictures.append(Picture(save(figure, folder, "positions"), alt, caption))
         groups += plots(figure)
     return pictures, groups
+
+
+def _fault_marks(outcome: ReplayResult) -> Callable[[Panel], Panel]:
+    """Return what marks the faults of the run in a panel, and when each side first reported one."""
+    ready, base_s = outcome.settings, outcome.grid.origin_ns / 1e9
+    faults = fault_spans(ready.loaded.scenario) if ready.own_run else []
+    recorded, replayed = outcome.comparison.reported_ns
+    reported = [(at_ns, name) for name, at_ns in recorded.items() if replayed.get(name) == at_ns]
+    for label, side in zip(outcome.labels, (recorded, replayed), strict=True):
+        reported += [
+            (at_ns, f"{label}: {name}")
+            for name, at_ns in side.items()
+            if (at_ns, name) not in reported
+        ]
+    marks = [(base_s + at_ns / 1e9, name) for at_ns, name in reported]
+    begin_s = base_s if ready.free_running else 0.0
+    return partial(
+        with_faults, faults=faults, reported=marks, end_s=begin_s + ready.loaded.scenario.duration_s,
+        begin_s=begin_s,
+    )  # fmt: skip
 
 
 def truck_lines(replay: TruckReplay) -> list[str]:

@@ -6,7 +6,15 @@ from dataclasses import replace
 
 from sil.recording.run_record import CHAMBERS
 from sil.report.figure import MS, Panel, Stack, Zoom
-from sil.report.run_figure import STATES, bus_panel, motion_panels, shift_zooms, states_panel
+from sil.report.run_figure import (
+    STATES,
+    bus_panel,
+    motion_panels,
+    shift_zooms,
+    states_panel,
+    with_faults,
+)
+from sil.simulation.fault_marks import detections, fault_spans
 from sil.simulation.in_memory import Run
 
 
@@ -28,7 +36,9 @@ def bus_stack(run: Run) -> Stack:
 
 def _stack(run: Run, panels: list[Panel]) -> Stack:
     zooms = shift_zooms(run.record, run.shifts)
-    return Stack("simulated time, ms", panels, zooms=zooms, limits=(0.0, _end(run)))
+    faults, reported = fault_spans(run.scenario), detections(run.record)
+    marked = [with_faults(panel, faults, reported, _end(run) / MS) for panel in panels]
+    return Stack("simulated time, ms", marked, zooms=zooms, limits=(0.0, _end(run)))
 
 
 def _end(run: Run) -> float:

@@ -67,7 +67,8 @@ def run_figure(
     ticks = [(-stroke, "forward"), (0.0, "neutral"), (stroke, "backward")]
     limits = (-1.25 * stroke, 1.25 * stroke)
     overview = Panel("Position", series=whole, height=52, ticks=ticks, limits=limits)
-    marked = [_with_faults(panel, record, faults) for panel in panels]
+    reported, end_s = detections(record), float(truth["time_s"][-1])
+    marked = [with_faults(panel, faults, reported, end_s) for panel in panels]
     stack = Stack("simulated time, ms", marked, zooms=zooms, overview=overview)
     return Figure([stack], title, subtitle)
 
@@ -87,17 +88,29 @@ def motion_panels(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shi
     ]
 
 
-def _with_faults(panel: Panel, record: RunRecord, faults: Sequence[FaultSpan]) -> Panel:
-    """Return a panel with a band where each fault acts, and a line where one is reported first."""
-    end_s = float(record.truth["time_s"][-1])
-    is_named = panel.title == "Position"
+def with_faults(
+    panel: Panel,
+    faults: Sequence[FaultSpan],
+    reported: Sequence[tuple[float, str]],
+    end_s: float,
+    begin_s: float = 0.0,
+) -> Panel:
+    """Return a panel with a band where each fault acts, and a line where one is reported first.
+
+    reported: (instant in s, name); end_s: of the run; begin_s: of the run, on the axis.
+    """
+    is_named = panel.title.startswith("Position")
     spans = [
-        Span(start_s * MS, (end_s if until_s is None else until_s) * MS, "fault")
+        Span(
+            (begin_s + start_s) * MS,
+            (end_s if until_s is None else begin_s + until_s) * MS,
+            "fault",
+        )
         for _, start_s, until_s in faults
     ]
     rules = [
         Rule(at_s * MS, f"{name} reported" if is_named else "", "alarm", "x", "dashed")
-        for at_s, name in detections(record)
+        for at_s, name in reported
     ]
     names = ", ".join(fault.name for fault in faults)
     keys = [(f"fault: {names}", "fault")] if is_named and faults else panel.keys

@@ -7,6 +7,8 @@ import re
 from base64 import b64decode
 from pathlib import Path
 
+import pytest
+
 from sil.log_replay.replay import ReplayRequest, replay
 from sil.log_replay.report import as_dict, replay_page, summary_lines, text
 from tests.support.golden_logs import golden
@@ -61,3 +63,14 @@ def test_the_values_are_plain_json() -> None:
 def test_what_is_printed_is_short() -> None:
     assert summary_lines(SAME)[0].endswith("no difference in 160 ticks")
     assert len(summary_lines(FOUND)) < 15
+
+
+@pytest.mark.parametrize("with_run", [True, False])
+def test_faults_and_their_detection_are_marked_on_both_sides(
+    tmp_path: Path, with_run: bool
+) -> None:
+    log = golden("stuck_sensor")
+    outcome = replay(ReplayRequest(str(log), run="stuck_sensor" if with_run else None, plant=True))
+    page = replay_page(outcome, as_dict(outcome), "opc4 replay", tmp_path)
+    assert ("fault: sensor stuck" in page) == with_run
+    assert "SENSOR_STUCK reported" in page
