@@ -15,7 +15,6 @@ from plant.integrator.hybrid import DEFAULT_TOLERANCE, HybridSystem
 from plant.kernel.layout import LENGTH, Quadratures
 from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
 from plant.parameters import ParameterSet
-from plant.systems.run_effects import applied
 
 
 class LengthStroke(HybridSystem):
@@ -79,6 +78,8 @@ class LengthStroke(HybridSystem):
         self.valve_delays_ns: tuple[int, int] | None = None
         has_line = False
         if parameters.effects:
+            from plant.systems.run_effects import applied
+
             setup = applied(parameters, p, c, supply_pressure_pa, load.damper != "none")
             self.valve_delays_ns = (setup.timing.rise_ns, setup.timing.fall_ns)
             has_line = setup.has_line

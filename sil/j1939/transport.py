@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from can_dbc.frame import Frame, join_id, split_id
 from sil.files.quantity import counted
-from sil.logs.frame import LogFrame
-from sil.logs.times import format_ns
+
+if TYPE_CHECKING:
+    from sil.logs.frame import LogFrame
 
 PGN_CONTROL: Final = 0xEC00
 PGN_DATA: Final = 0xEB00
@@ -174,6 +175,8 @@ class Assembler:
             what = f"PGN {transfer.pgn} of {transfer.size} bytes, " if transfer else ""
             sender = f"source {source:#04x} to {destination:#04x}"
             sender += f" on {channel}" if channel else ""
+            from sil.logs.times import format_ns
+
             self.locations.append(f"at {format_ns(self._now_ns)} s: {what}{sender}: {reason}")
 
 
