@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from collections.abc import Iterator
+import traceback
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,12 @@ class ProcessExit(BaseException):
 
 _LEAVE = os._exit
 
+before_running: list[Callable[[str], None]] = []
+"""What is called with the name of a user's file before its Python runs in this process."""
+
+crash_places: list[Callable[[], str]] = []
+"""What returns FILE:LINE of a user's Python that crashed a process forked from this one, or nothing."""
+
 
 @contextlib.contextmanager
 def exits_raise() -> Iterator[None]:
@@ -92,6 +99,19 @@ def exits_raise() -> Iterator[None]:
         yield
     finally:
         os._exit = _LEAVE
+
+
+def error_text(path: Path, line: int, error: BaseException) -> str:
+    """Return FILE:LINE: TYPE: TEXT; without a call of the user's code on the stack, the line given."""
+    stack, file = traceback.extract_tb(error.__traceback__), str(path)
+    calls = [f for f in stack if f.filename == file or path in Path(f.filename).parents]
+    if calls:
+        file, line = calls[-1].filename, calls[-1].lineno or line
+    text = str(error)
+    if isinstance(error, SyntaxError) and error.filename in (file, None):
+        line, text = error.lineno or line, f"{error.msg}; expected valid Python"
+    text = " ".join(text.split())
+    return f"{file}:{line}: {type(error).__name__}" + (f": {text}" if text else "")
 
 
 def _size(size: int) -> str:

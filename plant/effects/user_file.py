@@ -24,7 +24,7 @@ from typing import Any, get_args
 import numpy as np
 
 from can_dbc.errors import nearest
-from can_dbc.user_file import ProcessExit, exits_raise, read_user_text
+from can_dbc.user_file import ProcessExit, before_running, exits_raise, read_user_text
 from plant import effects as catalogue
 from plant.effects.added_term import ALL_TERMS, shown
 from plant.effects.effect import Effect, EffectParameter, Need, Scope, Variant
@@ -91,6 +91,8 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
     module.__file__ = file
     sys.modules[module.__name__] = module  # dataclasses of the file look their module up
     first = len(ALL_TERMS)
+    for prepare in before_running:
+        prepare(name)
     try:
         with exits_raise():
             exec(compile(text, file, "exec"), module.__dict__)

@@ -134,7 +134,7 @@ def command() -> NoReturn:
     sys.stdout = io.TextIOWrapper(output, encoding, "json", line_buffering=os.isatty(1))
     if sys.stderr is None:
         sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
-    code = main()
+    code = main(watched=True)
     _handle_signals(signal.SIG_DFL)
     try:
         sys.stdout.flush()
@@ -149,14 +149,16 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, watched: bool = False) -> int:
     """Run one `opc4` command and return its exit code.
+
+    watched: a forked process goes on before a user's Python runs.
 
     Bad input and usage end in one line on standard error; with --json the same line is also the
     `error` of the one object on standard output.  Checked by test_cli.
     """
     try:
-        return _main(list(sys.argv[1:] if argv is None else argv))
+        return _main(list(sys.argv[1:] if argv is None else argv), watched)
     except (KeyboardInterrupt, Exception) as error:  # while a command was being loaded
         if _interrupts or isinstance(error, KeyboardInterrupt):
             print("opc4: interrupted", file=sys.stderr)
@@ -180,7 +182,7 @@ def _unwritable(error: OSError) -> int:
     return NOT_FINISHED
 
 
-def _main(arguments: list[str]) -> int:
+def _main(arguments: list[str], watched: bool) -> int:
     if any("\0" in word for word in arguments):  # no system has such files
         return _refuse("opc4", "a null byte in an argument; expected none", arguments)
     if "" in arguments:  # as of an unset variable of a shell; Path("") would be the current folder
@@ -214,11 +216,21 @@ def _main(arguments: list[str]) -> int:
         return _refuse(f"opc4 {name}", str(error), arguments)
     except SystemExit:  # --help
         return PASSED
+    if watched:
+        from can_dbc.user_file import before_running
+
+        before_running.append(_watch)
     if parsed.quiet:
         from sil.files import progress
 
         progress.silence()
     return _guarded(name, command, parsed)
+
+
+def _watch(file: str) -> None:
+    from sil.cli.watched import go_on_in_child
+
+    go_on_in_child(file)
 
 
 def _refuse(program: str, why: str, arguments: Sequence[str]) -> int:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from can_dbc.errors import InputError, RunError
+from can_dbc.user_file import crash_places
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -93,7 +94,10 @@ def in_processes(
         yield from pool.map(_call, items)
         pool.shutdown()
     except BrokenProcessPool:
-        raise RunError("; ".join(filter(None, ["a worker process died", then]))) from None
+        places = [place for find in crash_places if (place := find())]
+        raise RunError(
+            "; ".join(filter(None, [" at ".join(["a worker process died", *places]), then]))
+        ) from None
     finally:
         _WORK.remove(work)
         pool.shutdown(wait=False, cancel_futures=True)

@@ -15,7 +15,6 @@ import importlib.util
 import os
 import signal
 import sys
-import traceback
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ import msgspec
 import numpy as np  # noqa: F401 - most firmware needs it: loaded once, before the forks
 
 from can_dbc.frame import Frame
-from can_dbc.user_file import exits_raise
+from can_dbc.user_file import error_text, exits_raise
 from controller.config import FirmwareConfig
 from controller.firmware import Inputs, Outputs
 from controller.node import ControllerNode, Steps
@@ -94,7 +93,7 @@ def _run(connection: Connection, load: list[Any]) -> None:
         except BaseException as error:
             # sys.exit, os._exit: the control unit is dead, not wrong
             kind = kind if isinstance(error, Exception) else "failed"
-            connection.send_bytes(_packed(kind, _described(path, line, error)))
+            connection.send_bytes(_packed(kind, error_text(path, line, error)))
     except OSError:
         pass
 
@@ -123,19 +122,6 @@ def _of_checkout(folder: Path, settings: Any) -> ControllerNode:
     config, node = (importlib.import_module(f"controller.{name}") for name in ("config", "node"))
     controller: ControllerNode = node.ControllerNode(config.load_config(settings, "settings"))
     return controller
-
-
-def _described(path: Path, line: int, error: BaseException) -> str:
-    """Return FILE:LINE: TYPE: TEXT; without a call of the user's code on the stack, the line given."""
-    stack, file = traceback.extract_tb(error.__traceback__), str(path)
-    calls = [f for f in stack if f.filename == file or path in Path(f.filename).parents]
-    if calls:
-        file, line = calls[-1].filename, calls[-1].lineno or line
-    text = str(error)
-    if isinstance(error, SyntaxError) and error.filename in (file, None):
-        line, text = error.lineno or line, f"{error.msg}; expected valid Python"
-    text = " ".join(text.split())
-    return f"{file}:{line}: {type(error).__name__}" + (f": {text}" if text else "")
 
 
 def _end_with(parent: int) -> None:

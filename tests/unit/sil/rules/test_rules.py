@@ -126,8 +126,8 @@ def test_rules_of_a_users_file(tmp_path: Path) -> None:
     given = circumstances(healthy().scenario)
     assert [v.rule for v in violations(healthy().record, given, rules)] == ["never_there"]
     for text, place in (
-        ("1/0", "line 1: ZeroDivisionError"),
-        ("a =", "line 1: SyntaxError"),
+        ("1/0", "own.py:1: ZeroDivisionError"),
+        ("a =", "own.py:1: SyntaxError"),
         ("RULES = 3", "RULES: not a list"),
         (file.read_text().replace("never_there", "false_gear"), "'false_gear' is taken"),
     ):

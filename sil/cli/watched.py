@@ -1,0 +1,69 @@
+"""A command whose process a user's Python may end: a child does the work, this one says how it ended."""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import json
+import os
+import re
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from can_dbc.user_file import crash_places
+
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+NOT_FINISHED = 3
+
+_files: list[str] = []
+
+
+def go_on_in_child(file: str) -> None:
+    """Return in a forked process before a user's file runs there for the first time; wait for it here.
+
+    Checked by: tests/unit/sil/cli/test_watched.py
+    """
+    _files.append(file)
+    if len(_files) > 1:
+        return
+    stacks = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+    sys.stdout.flush()
+    handlers = {number: signal.getsignal(number) for number in ENDING_SIGNALS}
+    child = os.fork()
+    if child:
+        _wait(child, file, stacks)
+    os.setpgid(0, 0)  # an interrupt typed at the terminal comes from the parent, once
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG: ends with the parent
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    faulthandler.enable(stacks, all_threads=False)
+    crash_places.append(lambda: _place(stacks))
+
+
+def _wait(child: int, file: str, stacks: Any) -> None:
+    """End this process as the child ended, with a line where a signal of its own killed that."""
+    for number in ENDING_SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda number, _frame: os.kill(child, number))
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code < 0:
+        where = _place(stacks) or file
+        why = f"{where}: its process ended: killed by {signal.Signals(-code).name}"
+        os.write(2, f"opc4 {sys.argv[1]}: {why}\n".encode(errors="replace"))
+        if "--json" in sys.argv:
+            os.write(1, f"{json.dumps({'error': why, 'exit_code': NOT_FINISHED})}\n".encode())
+        code = NOT_FINISHED
+    os._exit(code)
+
+
+def _place(stacks: Any) -> str:
+    """Return FILE:LINE of the innermost call of a user's file, on the first stack that was written."""
+    stack = os.pread(stacks.fileno(), 1 << 16, 0).decode(errors="replace")
+    for name, line in re.findall(r'File "([^<"][^"]*)", line (\d+)', stack):
+        for file in _files:
+            if Path(name).resolve() == Path(file).resolve():
+                return f"{file}:{line}"
+    return ""
