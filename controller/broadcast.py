@@ -10,10 +10,10 @@ from controller.shift import ShiftMachine
 class Broadcast:
     """Makes ETC1 and ETC2 when they are due; gears are numbered as the settings say."""
 
-    def __init__(self, config: BroadcastConfig, machine: ShiftMachine, start_ns: int) -> None:
+    def __init__(self, config: BroadcastConfig, machine: ShiftMachine) -> None:
         self._machine = machine
         self._etc2_period_ns = nanoseconds(config.etc2_period_s)
-        self._etc1_due_ns = self._etc2_due_ns = start_ns
+        self._etc1_due_ns = self._etc2_due_ns = 0
         self._numbers = {
             Gear.NEUTRAL: 0,
             Gear.FORWARD: config.gear_forward,
@@ -28,6 +28,10 @@ class Broadcast:
             Gear.BACKWARD: " B",
             Gear.UNKNOWN: None,
         }
+
+    def start(self, now_ns: int) -> None:
+        """Make the first ones due now."""
+        self._etc1_due_ns = self._etc2_due_ns = now_ns
 
     def etc1(self, now_ns: int, speeds: DrivelineSpeeds | None) -> Etc1 | None:
         """Return ETC1 every 10 ms, None in between."""

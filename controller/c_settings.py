@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from msgspec import Struct
@@ -89,9 +90,14 @@ def _members(config: FirmwareConfig) -> Iterator[_Member]:
     yield _Member(f"sections[{SECTIONS}][5]", tuple(numbers), "b0, b1, b2, a1, a2 of each")
 
 
+@cache
+def _hints(kind: type[Struct]) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
+
+
 def _of_record(record: Struct) -> Iterator[_Member]:
     """Yield the members of a settings record; the strategy and its parameters come otherwise."""
-    for name, hint in get_type_hints(type(record), include_extras=True).items():
+    for name, hint in _hints(type(record)).items():
         if name.startswith("strategy") or name not in record.__struct_fields__:
             continue
         value = getattr(record, name)

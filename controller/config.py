@@ -31,7 +31,9 @@ class FirmwareConfig(ControlConfig, frozen=True):
 def create_strategy(config: FirmwareConfig) -> strategies.Strategy:
     """Return a new instance of the strategy that the settings name."""
     kind = strategies.strategy_class(config.strategy)
-    return kind(config, strategies.parameters(config.strategy, config.strategy_parameters))
+    strategy = kind(config, strategies.parameters(config.strategy, config.strategy_parameters))
+    strategy.reset()
+    return strategy
 
 
 def load_config(table: Mapping[str, Any], source: str) -> FirmwareConfig:

@@ -34,25 +34,28 @@ class Observer:
     def __init__(
         self, config: ControlConfig, model: ModelSettings, settings: ObserverSettings
     ) -> None:
-        self._config = config
         self._settings = settings
         self.model = LightModel(model, config.windows.stroke_m)
         self._past = round(settings.sensor_age_s / STEP_S)
+        self.motion = LightModelState(model.atmosphere_pa, model.atmosphere_pa)
+        self.driving = Valve(model.valve_open_s, model.valve_close_s)
+        self.braking = Valve(model.valve_open_s, model.valve_close_s)
+        self._ring = [0.0] * (self._past + 1)
+        self._filter: SectionFilter | None = None
+        filtering = config.filter
+        if filtering.enabled:
+            rate_hz = 1.0 / config.sensor.period_s
+            self._filter = SectionFilter(butterworth(filtering.order, filtering.fc_hz, rate_hz))
         self.reset()
 
     def reset(self) -> None:
         """Start in neutral, at rest, both chambers vented, valves closed."""
-        settings = self.model.settings
-        self.motion = LightModelState(settings.atmosphere_pa, settings.atmosphere_pa)
-        self.driving = Valve(settings.valve_open_s, settings.valve_close_s)
-        self.braking = Valve(settings.valve_open_s, settings.valve_close_s)
+        self.motion.rest(self.model.settings.atmosphere_pa)
+        self.driving.close()
+        self.braking.close()
         self.steps = 0  # of the model, since the push began
-        self._ring = [0.0] * (self._past + 1)
-        self._filter: SectionFilter | None = None
-        filtering = self._config.filter
-        if filtering.enabled:
-            rate_hz = 1.0 / self._config.sensor.period_s
-            self._filter = SectionFilter(butterworth(filtering.order, filtering.fc_hz, rate_hz))
+        self._ring[:] = [0.0] * len(self._ring)
+        if self._filter is not None:
             self._filter.settle(0.0)
 
     @property

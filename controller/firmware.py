@@ -79,6 +79,7 @@ class Firmware:
         self._windows = GearWindows(config.windows)
         self._strategy = create_strategy(config)
         self._machine = ShiftMachine(config, self._strategy.blow_s)
+        self._broadcast = Broadcast(config.broadcast, self._machine)
         self._startup_ns = nanoseconds(config.e2e.startup_s)
         self._interlock = Interlock(config)
         self._sync_tolerance_rad_s = config.shift.sync_tolerance_rad_s
@@ -99,7 +100,7 @@ class Firmware:
         """
         if self._start_ns is None:
             self._start_ns = self._sampled_ns = now_ns
-            self._broadcast = Broadcast(self.config.broadcast, self._machine, now_ns)
+            self._broadcast.start(now_ns)
         elif now_ns <= self._now_ns:
             raise ValueError(f"step at {now_ns} ns after one at {self._now_ns} ns")
         self._now_ns = now_ns

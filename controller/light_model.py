@@ -59,6 +59,11 @@ class LightModelState:
     stay_m_s: float = 0.0
     load_n: float = 0.0
 
+    def rest(self, pressure_pa: float) -> None:
+        """Return to the start, both chambers at a pressure."""
+        self.driving_pa = self.braking_pa = pressure_pa
+        self.piston_m = self.piston_m_s = self.stay_m = self.stay_m_s = self.load_n = 0.0
+
 
 def slid(speed_m_s: float, force_n: float, resist_n: float, step_s: float, mass_kg: float) -> float:
     """Return the speed after a step under a force and a resistance that only ever opposes."""
@@ -84,6 +89,11 @@ class Valve:
         if on != self.wanted:
             self.wanted = on
             self.due_s = at_s + (self.open_s if on else self.close_s)
+
+    def close(self) -> None:
+        """Be closed, with no command to come."""
+        self.is_open = self.wanted = False
+        self.due_s = 0.0
 
     def at(self, time_s: float) -> bool:
         """Return whether the valve is open; times may not go back."""

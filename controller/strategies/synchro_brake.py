@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from math import sqrt
 from typing import Annotated, ClassVar
 
-from controller.settings import bounded
+from msgspec import Struct
+
+from controller.settings import ControlConfig, bounded
 from controller.strategies.into_gear import (
     PUSH,
     Command,
@@ -53,9 +55,13 @@ class SynchroBrake(IntoGear):
     _brake_s: float | None = None
     _rest_s: float | None = None
 
+    def __init__(self, config: ControlConfig, parameters: Struct) -> None:
+        super().__init__(config, parameters)
+        self._reports: deque[tuple[float, float]] = deque(maxlen=3)
+
     def reset(self) -> None:
         """Forget the reports, the forecast and what has begun."""
-        self._reports: deque[tuple[float, float]] = deque(maxlen=3)
+        self._reports.clear()
         self._release_s = self._brake_s = self._rest_s = None
 
     def decide(self, progress: Progress) -> Command:

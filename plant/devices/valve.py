@@ -253,7 +253,8 @@ class Valve:
         Call it only when every command up to `until_ns` has been given.
         """
         self._settle(until_ns)
-        moved, self._moved = self._moved, []
+        moved = self._moved.copy()
+        self._moved.clear()
         return moved
 
     def _settle(self, until_ns: int) -> None:

@@ -118,10 +118,15 @@ class HybridSystem:
         self._p, self._c = p, c
         self._run, self._control = Run.zeros(), Control.zeros(np.int64)
         self._run.array[: len(y)] = y
-        self._length = len(y)
         self._control.modes = fresh_modes(system, load).array
         Modes(self._control.modes).masses = 1 if p.air_kappa > 0.0 else 0
-        self._view()
+        self._y = self._run.array[: len(y)]
+        self._state: Any = state_record(system)(self._y)
+        self._m = Modes(self._control.modes)
+        self._n = self._state.size if self._m.masses else STATE_COUNTS[system][2]
+        # stick-slip between closed chambers makes hundreds of events in a quarter second;
+        # a view, as all that is no state
+        self._record = np.zeros((2000, EventRow.size))[:]
         self._m.line = 1 if has_line else 0
         run, control = self._run, self._control
         run.tolerance = tolerance
@@ -137,23 +142,6 @@ class HybridSystem:
         self._choose_modes()
         self._pv0 = self._pv()
         self._kinetic0 = self._kinetic()
-
-    def _view(self) -> None:
-        """Name the parts of the arrays, and make the memory that keeps nothing."""
-        self._y = self._run.array[: self._length]
-        self._state: Any = state_record(self._system)(self._y)
-        self._m = Modes(self._control.modes)
-        self._n = self._state.size if self._m.masses else STATE_COUNTS[self._system][2]
-        # stick-slip between closed chambers makes hundreds of events in a quarter second
-        self._record = np.zeros((2000, EventRow.size))
-
-    def __getstate__(self) -> dict[str, Any]:
-        views = ("_y", "_state", "_m", "_record")
-        return {name: value for name, value in self.__dict__.items() if name not in views}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._view()
 
     # --- state ------------------------------------------------------------------------------
     @property

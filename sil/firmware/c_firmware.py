@@ -10,7 +10,6 @@ import atexit
 import gc
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
@@ -130,18 +129,6 @@ class CController(TickingNode):
                 row = (repr(values[name]) if name in values else "" for name in names)
                 rows.append(",".join((f"{now_ns / 1e9:.9f}", *row)))
             write_atomically(folder / SIGNALS, "\n".join(rows) + "\n")
-
-    def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        state["_instances"] = [instance.snapshot() for instance in self._instances]
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        settings = c_settings.content(self.config)
-        self._instances = [Instance(module, settings) for module in modules(self._path)]
-        for instance, memory in zip(self._instances, state["_instances"], strict=True):
-            instance.restore(memory)
 
 
 def modules(path: Path) -> tuple[Module, ...]:

@@ -10,10 +10,12 @@ import io
 import json
 import pickle
 from collections.abc import Mapping
-from functools import cache
+from enum import Enum
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from can_dbc.errors import InputError
@@ -28,10 +30,11 @@ from sil.files.atomic import write_atomically
 from sil.files.extras import ROOT
 from sil.recording.run_record import PlantEvent
 from sil.simulation import build
-from sil.simulation.load_scenario import Loaded
+from sil.simulation.load_scenario import Loaded, from_table
+from sil.simulation.scenario import expanded
+from sil.simulation.state import PACKAGES, State, Values
 
-FORMAT = "opc4-state-1"
-PACKAGES = ("can_dbc", "controller", "plant", "sil")
+FORMAT = "opc4-state-2"
 
 
 class _TraceRows(list[np.ndarray]):
@@ -89,45 +92,40 @@ class Loop:
         with self.lockstep as lockstep:
             return lockstep.run()
 
-    def snapshot(self) -> bytes:
-        """Return the whole state; firmware in Python files has none that can be saved: TypeError."""
-        return pickle.dumps(self, protocol=5)
+    @cached_property
+    def _state(self) -> State:
+        parts = (self.participants, self.plan, self.bus, self.lockstep)
+        return State(*parts, self.trace, self.events, self.frames)
 
-    @staticmethod
-    def restore(state: bytes) -> Loop:
-        """Return a loop that continues from a state of this process. Raises UnpicklingError for another."""
-        loop = _Restricted(io.BytesIO(state)).load()
-        if not isinstance(loop, Loop):
-            raise pickle.UnpicklingError("no loop")
-        return loop
+    def snapshot(self) -> Values:
+        """Return the whole state; firmware in Python files has none that can be saved: TypeError."""
+        return self._state.values()
+
+    def restore(self, state: Values) -> None:
+        """Continue from a state of this loop, or of another one of the same scenario."""
+        self._state.restore(state)
 
 
 class _Restricted(pickle.Unpickler):
-    """Makes nothing but what a loop consists of: values and records of these packages and of numpy."""
+    """Makes nothing but values: records of these packages, numpy's arrays, and containers."""
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) == ("builtins", "getattr"):  # of bound methods
-            return _method
         package = module.partition(".")[0]
-        others = ("builtins", "copyreg", "msgspec", "pathlib")
-        if package in (*PACKAGES, *others, "numpy", "collections", "random", "functools"):
-            found = super().find_class(module, name)
-            pure = module.startswith(("plant.devices.", "sil.nodes.")) or package not in (
-                *PACKAGES,
-                *others,
-            )
-            makes = name in ("_reconstructor", "__newobj__", "rebuild")
-            if isinstance(found, type) or pure or makes:
+        found = super().find_class(module, name) if package in (*PACKAGES, "numpy") else None
+        if isinstance(found, type):
+            is_record = hasattr(found, "__dataclass_fields__") or issubclass(found, tuple | Enum)
+            if is_record or issubclass(found, msgspec.Struct | np.ndarray | np.generic | np.dtype):
                 return found
-        if (module, name) in (("_operator", "getitem"), ("_operator", "or_")):  # of flags
+        if (name if package == "numpy" else f"{module}.{name}") in _MAKERS:
             return super().find_class(module, name)
         raise pickle.UnpicklingError(f"{module}.{name}")
 
 
-def _method(owner: Any, name: str) -> Any:
-    if name.startswith("__"):
-        raise pickle.UnpicklingError(name)
-    return getattr(owner, name)
+_MAKERS = (
+    *("collections.deque", "collections.Counter", "collections.defaultdict", "builtins.int"),
+    *("_reconstruct", "scalar", "_frombuffer"),  # of numpy
+    *("_operator.or_", "_operator.getitem", "msgspec._utils.rebuild"),  # of flags and records
+)
 
 
 def save(loop: Loop, path: Path) -> None:
@@ -136,13 +134,18 @@ def save(loop: Loop, path: Path) -> None:
     Raises InputError for a firmware whose state cannot be saved.
     """
     try:
-        state = loop.snapshot()
+        state = pickle.dumps(loop.snapshot(), protocol=5)
     except TypeError:
         raise InputError(
             "firmware in a Python file runs in a process of its own; expected the shipped one, or C"
         ) from None
-    head = {"format": FORMAT, "made_by": _made_by(loop.loaded.scenario.firmware)}
-    head["sha256"] = hashlib.sha256(state).hexdigest()
+    head = {
+        "format": FORMAT,
+        "made_by": _made_by(loop.loaded),
+        "sha256": hashlib.sha256(state).hexdigest(),
+        "source": loop.loaded.source,
+        "scenario": expanded(loop.loaded.scenario),
+    }
     write_atomically(path, json.dumps(head).encode() + b"\n" + state)
 
 
@@ -154,21 +157,26 @@ def load(path: Path) -> Loop:
         head = json.loads(line)
         if head["format"] != FORMAT or head["sha256"] != hashlib.sha256(state).hexdigest():
             raise ValueError
-        if head["made_by"] != _made_by(head["made_by"]["firmware"]):
-            what = "made by another version of this program, or of the firmware"
+        loaded = from_table(head["scenario"], head["source"])
+        if head["made_by"] != _made_by(loaded):
+            what = "made by another version of this program, of the model, or of the firmware"
             raise InputError(f"{path}: {what}; expected the same")
-        return Loop.restore(state)
+        loop = Loop(loaded)
+        loop.restore(_Restricted(io.BytesIO(state)).load())
+        return loop
     except InputError:
         raise
     except (ValueError, KeyError, TypeError, pickle.UnpicklingError, AttributeError):
         raise InputError(f"{path}: damaged, or not a state; expected {expected}") from None
 
 
-def _made_by(firmware: str) -> dict[str, str]:
-    content = Path(firmware).read_bytes() if Path(firmware).is_file() else b""
+def _made_by(loaded: Loaded) -> dict[str, str]:
+    firmware = Path(loaded.scenario.firmware)
+    content = firmware.read_bytes() if firmware.is_file() else b""
+    model = {path: loaded.parameters[path].value for path in loaded.parameters}
     return {
-        "firmware": firmware,
         "firmware_sha256": hashlib.sha256(content).hexdigest(),
+        "model_sha256": hashlib.sha256(json.dumps(model).encode()).hexdigest(),
         "sources_sha256": _sources(),
         "numpy": np.__version__,
     }

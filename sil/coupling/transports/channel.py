@@ -141,8 +141,9 @@ class InProcess(Channel):
         self._participants = {participant.name: participant for participant in participants}
         self._inboxes: dict[str, list[tuple[int, Frame]]] = {name: [] for name in self.names}
         self._received = received
-        self._receivers: dict[int, list[str]] = {}
+        self._receivers: dict[int, tuple[str, ...]] = {}
         self._turns: dict[str, Turn] = {}
+        self._retired: set[str] = set()
         self._closed = False
 
     def start(self, end_ns: int) -> dict[str, int]:
@@ -160,21 +161,23 @@ class InProcess(Channel):
                 if name != sender and name not in bus_off:
                     inboxes[name].append((arrival_ns, frame))
 
-    def _receivers_of(self, can_id: int) -> list[str]:
-        return [
+    def _receivers_of(self, can_id: int) -> tuple[str, ...]:
+        return tuple(
             name
             for name in self._inboxes
-            if name not in self._received or can_id in self._received[name]
-        ]
+            if name not in self._retired
+            and (name not in self._received or can_id in self._received[name])
+        )
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Run the turns.  Raises ParticipantLost for one that fails; InputError and RunError pass."""
         for name in names:
             inbox = self._inboxes.get(name)
-            if inbox is not None:
-                self._inboxes[name] = []
+            if inbox is not None and name not in self._retired:
+                deliveries = inbox.copy()
+                inbox.clear()
                 try:
-                    self._turns[name] = self._participants[name].advance(now_ns, inbox)
+                    self._turns[name] = self._participants[name].advance(now_ns, deliveries)
                 except (InputError, RunError):
                     raise
                 except Exception as error:  # as when its process dies of it: the run is over
@@ -183,12 +186,13 @@ class InProcess(Channel):
 
     def end_turn(self) -> dict[str, Turn]:
         """Return the finished turns."""
-        turns, self._turns = self._turns, {}
+        turns = self._turns.copy()
+        self._turns.clear()
         return turns
 
     def retire(self, name: str) -> None:
         """Drop a participant."""
-        self._inboxes.pop(name, None)
+        self._retired.add(name)
         self._receivers.clear()
 
     def idle(self, seconds: float) -> None:

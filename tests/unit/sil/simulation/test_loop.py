@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pickle
 from pathlib import Path
@@ -14,19 +15,31 @@ from sil.simulation import loop
 from sil.simulation.in_memory import finished, run_in_memory
 from sil.simulation.load_scenario import Loaded, load, shipped
 from sil.simulation.loop import Loop
+from sil.simulation.state import State
 from tests.faults.drawn import draw
 
 
 def continued_sha256(loaded: Loaded, *shares: float) -> str:
-    """The hash of a run that is saved and restored at shares of its duration."""
-    running = Loop(loaded)
+    """The hash of a run that is saved and restored at shares of its duration, in place and anew."""
+    running, duration_s = Loop(loaded), loaded.scenario.duration_s
+    places = places_of(running)
     for share in shares:
-        running.advance(share * loaded.scenario.duration_s)
+        running.advance(share * duration_s)
         state = running.snapshot()
-        running.advance((share + 0.01) * loaded.scenario.duration_s)  # what is left is not the same
-        running = Loop.restore(state)
+        running.advance(min(share + 0.2, 0.9) * duration_s)
+        running.restore(state)
+        running.advance((share + 0.02) * duration_s)
+        running = Loop(loaded)
+        running.restore(state)
+        places = places_of(running)
     running.finish()
+    assert places_of(running) == places  # no object with a state was made or dropped on the way
     return finished(running).trace_sha256
+
+
+def places_of(running: Loop) -> list[object]:
+    parts = (running.participants, running.plan, running.bus, running.lockstep, running.trace)
+    return [(id(place.owner), place.names) for place in State(*parts).places]
 
 
 @pytest.mark.parametrize("name", ["lab_n_b", "busy_bus", "late_valve_commands"])
@@ -76,10 +89,13 @@ def test_other_files_are_refused_in_one_line(
         path.write_bytes(bad)
         with pytest.raises(InputError, match=complaint):
             loop.load(path)
-    with pytest.raises(pickle.UnpicklingError, match=r"builtins\.print"):
-        Loop.restore(evil)
+    head, _, _ = content.partition(b"\n")
+    table = json.loads(head) | {"sha256": hashlib.sha256(evil).hexdigest()}
+    path.write_bytes(json.dumps(table).encode() + b"\n" + evil)
+    with pytest.raises(InputError, match="damaged"):
+        loop.load(path)
     path.write_bytes(content)
-    monkeypatch.setattr(loop, "FORMAT", "opc4-state-2")
+    monkeypatch.setattr(loop, "FORMAT", "opc4-state-3")
     with pytest.raises(InputError, match="damaged, or not a state"):
         loop.load(path)
 
