@@ -19,11 +19,11 @@ from controller.node import TickingNode
 from sil.coupling.transports.channel import ParticipantLost
 from sil.files.atomic import write_atomically
 from sil.firmware.compiler import compiled
-from sil.firmware.contract import MAX_ARRIVED, Step, received
+from sil.firmware.contract import MAX_ARRIVED, Step, pack_step, received
 from sil.firmware.cost import Cost, write_cost
 from sil.firmware.findings import FirmwareFailure
 from sil.firmware.reproduction import program
-from sil.firmware.wasm import Answer, Instance, Module, engine, read_module
+from sil.firmware.wasm import Instance, Module, engine, read_module
 
 SIGNALS = "firmware.csv"
 
@@ -83,21 +83,33 @@ class CController(TickingNode):
         if self.steps is not None:
             self.steps.append(step)
         try:
-            answers = [instance.step(step) for instance in self._instances]
-            _compare(answers)
+            instructions, frames = self._answer(pack_step(step))
         except FirmwareFailure as failure:
             what = f"failed: {self._shown(failure)}, tick {self._count}"
             raise ParticipantLost(self.name, what) from None
-        answer = answers[-1]
-        self._sum_instructions += answer.instructions
-        if answer.instructions > self._max_instructions:
-            self._max_instructions, self._worst = answer.instructions, step
+        self._sum_instructions += instructions
+        if instructions > self._max_instructions:
+            self._max_instructions, self._worst = instructions, step
         if self.config.ns_per_instruction > 0.0:
-            self.computation_ns = round(answer.instructions * self.config.ns_per_instruction)
+            self.computation_ns = round(instructions * self.config.ns_per_instruction)
         self._count += 1
-        if answer.signals:
-            self._signals.append((now_ns, answer.signals))
-        return answer.frames
+        if signals := self._instances[-1].signals():
+            self._signals.append((now_ns, signals))
+        return frames
+
+    def _answer(self, content: bytes) -> tuple[int, list[Frame]]:
+        """Return instructions and frames of the plain build. Raises FirmwareFailure if one build fails."""
+        frames = None
+        for instance in self._instances:
+            instructions = instance.step(content)
+            before, frames = frames, instance.frames()
+            if before not in (None, frames):
+                raise FirmwareFailure(
+                    "plain and sanitised build send different frames: a variable without a value, "
+                    "or other undefined behaviour that is not caught"
+                )
+        assert frames is not None
+        return instructions, frames
 
     def cost(self) -> Cost:
         """Return what the steps so far have cost."""
@@ -132,37 +144,24 @@ class CController(TickingNode):
 
 
 def modules(path: Path) -> tuple[Module, ...]:
-    """Return the builds of a firmware, the plain one last; what has not changed is not built again.
+    """Return the builds of a firmware, the plain one last.
 
     Raises InputError for a file that is no firmware.
     """
-    try:
-        changed_ns = path.stat().st_mtime_ns
-    except OSError:
-        raise InputError(f"firmware: {path}: no such file; expected FILE.c or FILE.wasm") from None
-    return _modules(path, changed_ns)
-
-
-@lru_cache(maxsize=16)
-def _modules(path: Path, changed_ns: int) -> tuple[Module, ...]:
+    if not path.exists():
+        raise InputError(f"firmware: {path}: no such file; expected FILE.c or FILE.wasm")
     if path.suffix == ".wasm":
-        return (Module(read_module(path), str(path)),)
-    plain = Module(compiled(path), str(path))
-    return (Module(compiled(path, sanitised=True), str(path)), plain)
+        return (_module(read_module(path), str(path)),)
+    builds = (compiled(path, sanitised=sanitised) for sanitised in (True, False))
+    return tuple(_module(content, str(path)) for content in builds)
+
+
+_module = lru_cache(maxsize=16)(Module)
 
 
 @atexit.register
 def _forget() -> None:
     """Free the modules while the library that made them is still whole."""
-    _modules.cache_clear()
+    _module.cache_clear()
     engine.cache_clear()
     gc.collect()
-
-
-def _compare(answers: list[Answer]) -> None:
-    """Raise FirmwareFailure unless all builds answered alike."""
-    if answers[0].frames != answers[-1].frames:
-        raise FirmwareFailure(
-            "plain and sanitised build send different frames: a variable without a value, or other "
-            "undefined behaviour that is not caught"
-        )

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.metadata
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 
 import platformdirs
 
 from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_file
+from sil.files.atomic import write_atomically
 from sil.files.extras import install_command
 from sil.firmware.contract import header
 
@@ -36,28 +41,67 @@ _LINK = (
     *(f"--export={name}" for name in (*EXPORTS, "__stack_pointer")),
 )
 _PATIENCE_S = 120.0
+_CACHE = Path(platformdirs.user_cache_dir("opc4-sil"))
 
 
 def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = ()) -> bytes:
     """Return the module that a C file compiles to; `sanitised`: undefined behaviour calls the host.
 
-    What the compiler writes goes to standard error. Raises InputError if it refuses the file, and
-    with the command that installs a compiler without one.
+    A file that has not changed, nor what it includes, is not compiled again unless the compiler had
+    something to say: that goes to standard error. Raises InputError if it refuses the file, and with
+    the command that installs a compiler without one.
     """
+    built = (path, sanitised, options)
+    if built in _built and _is_current(_built[built][0]):
+        return _built[built][1]
     read_user_file(path, "C source")
+    flags = (*_COMMON, *(_SANITISED if sanitised else _PLAIN), *options)
+    command = (*tool("cc"), *flags, path.name)
+    key = "\n".join((str(path.resolve()), header(), _version(), *command))
+    stored = _CACHE / "c" / sha256(key.encode()).hexdigest()
+    with contextlib.suppress(OSError, ValueError):
+        head, _, module = stored.read_bytes().partition(b"\n")
+        _built[built] = json.loads(head), module
+        if _is_current(_built[built][0]):
+            return module
     with tempfile.TemporaryDirectory(prefix="opc4-") as folder:
         Path(folder, "opc4.h").write_text(header())
-        flags = (*_COMMON, *(_SANITISED if sanitised else _PLAIN), *options, "-I", folder)
-        _call(path, (*tool("cc"), *flags, path.name, "-o", f"{folder}/own.o"))
+        output = ("-I", folder, "-MMD", "-MF", f"{folder}/own.d", "-o", f"{folder}/own.o")
+        said = _call(path, (*command, *output))
         undefined = ("--allow-undefined",) if sanitised else ()
         link = (*_LINK, *undefined, f"{folder}/own.o", "-o", f"{folder}/own.wasm")
-        _call(path, (*tool("wasm-ld"), *link))
-        return Path(folder, "own.wasm").read_bytes()
+        said += _call(path, (*tool("wasm-ld"), *link))
+        module = Path(folder, "own.wasm").read_bytes()
+        names = Path(folder, "own.d").read_text().partition(":")[2].replace("\\\n", " ").split()
+        files = [path.resolve().parent / name for name in names if not name.startswith(folder)]
+        with contextlib.suppress(OSError):  # a name with a blank, or no room: compiled again
+            stamps = {str(file): _stamp(file) for file in files}
+            if not said:
+                stored.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(stored, json.dumps(stamps).encode() + b"\n" + module)
+                _built[built] = stamps, module
+        return module
 
 
-def _call(path: Path, command: tuple[str, ...]) -> None:
-    caches = Path(platformdirs.user_cache_dir("opc4-sil")) / "zig"
-    folders = {f"ZIG_{kind}_CACHE_DIR": str(caches) for kind in ("GLOBAL", "LOCAL")}
+_built: dict[tuple[Path, bool, tuple[str, ...]], tuple[dict[str, list[int]], bytes]] = {}
+"""Of this process: what each module was made of, and the module."""
+
+
+def _is_current(stamps: dict[str, list[int]]) -> bool:
+    """Return whether no file has changed since then."""
+    with contextlib.suppress(OSError):
+        return all(_stamp(file) == stamp for file, stamp in stamps.items())
+    return False
+
+
+def _stamp(file: str | Path) -> list[int]:
+    state = os.stat(file)
+    return [state.st_mtime_ns, state.st_size]
+
+
+def _call(path: Path, command: tuple[str, ...]) -> str:
+    """Run a tool; return what it wrote, which goes to standard error. Raises InputError if it fails."""
+    folders = {f"ZIG_{kind}_CACHE_DIR": str(_CACHE / "zig") for kind in ("GLOBAL", "LOCAL")}
     try:
         done = subprocess.run(
             command,
@@ -72,9 +116,11 @@ def _call(path: Path, command: tuple[str, ...]) -> None:
     except subprocess.TimeoutExpired:
         what = f"the compiler has not finished within {_PATIENCE_S:g} s"
         raise InputError(f"{path}: {what}; expected C source") from None
-    sys.stderr.write(done.stderr.decode(errors="replace"))
+    said = done.stderr.decode(errors="replace")
+    sys.stderr.write(said)
     if done.returncode != 0:
         raise InputError(f"{path}: does not compile, see above; expected C99 that includes opc4.h")
+    return said
 
 
 @cache
@@ -89,3 +135,11 @@ def tool(name: str) -> tuple[str, ...]:
             f"{install_command('ziglang', 'c')}"
         )
     return (str(tools[name]),)
+
+
+@cache
+def _version() -> str:
+    """Return what differs between versions of the compiler."""
+    if importlib.util.find_spec("ziglang") is not None:
+        return importlib.metadata.version("ziglang")
+    return str(Path(*tool("cc")).stat().st_mtime_ns)

@@ -75,7 +75,7 @@ def pack_step(step: Step) -> bytes:
     return b"".join((HEAD.pack(step.now_ns, len(frames), step.lost), *frames))
 
 
-def unpack_frames(content: bytes) -> list[Frame]:
+def unpack_frames(content: memoryview) -> list[Frame]:
     """Return the frames in the bytes of `fw_out.frames`. Raises ValueError for one that is none."""
     frames: list[Frame] = []
     for _, data, can_id, length in FRAME.iter_unpack(content):
@@ -85,5 +85,5 @@ def unpack_frames(content: bytes) -> list[Frame]:
                 f"frame {len(frames)} of the step has {what}; expected a frame of classic CAN, "
                 "29-bit identifier and at most 8 bytes"
             )
-        frames.append(Frame(can_id, data[:length]))
+        frames.append(Frame(can_id, data if length == 8 else data[:length]))
     return frames

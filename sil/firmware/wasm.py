@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import os
 import struct
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+import numpy as np
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
@@ -17,7 +19,7 @@ from can_dbc.user_file import read_user_file
 from sil.files.extras import import_extra
 from sil.firmware import contract
 from sil.firmware.compiler import EXPORTS
-from sil.firmware.contract import COUNTS, FAILURE, FAILURE_AT, MAX_SENT, SIGNAL, SIGNALS_AT, Step
+from sil.firmware.contract import COUNTS, FAILURE, FAILURE_AT, MAX_SENT, SIGNAL, SIGNALS_AT
 from sil.firmware.findings import PREFIX, FirmwareFailure, finding, text_at, trap_text
 
 MAX_MODULE_BYTES, MAX_MEMORY_BYTES = 16 << 20, 64 << 20
@@ -29,14 +31,6 @@ _WITHOUT_WASI = (
     "-Wl,--no-entry " + " ".join(f"-Wl,--export={name}" for name in EXPORTS)
 )
 _UNTOUCHED = 0xA5
-
-
-class Answer(NamedTuple):
-    """What a step gave: frames to send, traced signals, and the instructions that it took."""
-
-    frames: list[Frame]
-    signals: dict[str, float]
-    instructions: int
 
 
 class Module:
@@ -52,11 +46,14 @@ class Module:
             self.code = self.wasmtime.Module(self.engine, content)
         except self.wasmtime.WasmtimeError as error:
             raise self._wrong(f"not a module: {' '.join(str(error).split())}") from None
+        self.linker = self.wasmtime.Linker(self.engine)
         for item in self.code.imports:
             if item.module.startswith("wasi"):
                 raise InputError(f"{source}: needs WASI ({item.name}); {_WITHOUT_WASI}")
             if not (item.name or "").startswith(PREFIX):
                 raise self._wrong(f"imports {item.module}.{item.name}; expected no imports")
+            handler = partial(_report, item.name)
+            self.linker.define_func(item.module, item.name, item.type, handler, access_caller=True)
         types = {item.name: item.type for item in self.code.exports}
         for name in ("memory", *EXPORTS):
             if name not in types:
@@ -75,24 +72,19 @@ class Instance:
     """A module at work. Raises InputError for one of another contract, FirmwareFailure when it fails."""
 
     def __init__(self, module: Module, settings: bytes) -> None:
-        wasmtime = module.wasmtime
-        self.module = module
-        self._store = wasmtime.Store(module.engine)
-        self._store.set_limits(memory_size=MAX_MEMORY_BYTES)
-        self._store.set_fuel(MAX_INSTRUCTIONS)
-        linker = wasmtime.Linker(module.engine)
-        for item in module.code.imports:
-            linker.define_func(item.module, item.name, item.type, self._handler(item.name))
+        self._module, wasmtime = module, module.wasmtime
+        self._store = store = wasmtime.Store(module.engine)
+        store.set_limits(memory_size=MAX_MEMORY_BYTES)
+        store.set_fuel(MAX_INSTRUCTIONS)
         try:
-            exports = linker.instantiate(self._store, module.code).exports(self._store)
-            addresses = [exports[name].value(self._store) for name in EXPORTS[:3]]
+            exports = module.linker.instantiate(store, module.code).exports(store)
+            self._in, self._out, number_at = (exports[name].value(store) for name in EXPORTS[:3])
         except (wasmtime.WasmtimeError, wasmtime.Trap, AttributeError) as error:
             why = " ".join(str(error).split())
             raise InputError(f"{module.source}: cannot be started: {why}") from None
         memory = exports["memory"]
-        self._store.set_limits(memory_size=memory.data_len(self._store))  # it does not move
-        self._memory = memoryview(memory.get_buffer_ptr(self._store)).cast("B")
-        self._in, self._out, number_at = addresses
+        store.set_limits(memory_size=memory.data_len(store))  # it does not move
+        self._memory = memoryview(memory.get_buffer_ptr(store)).cast("B")
         room = len(self._memory) - contract.settings_size() - contract.HEAD.size
         room -= contract.MAX_ARRIVED * contract.FRAME.size
         if not (0 <= self._in <= room and 0 <= self._out <= len(self._memory) - contract.OUT_SIZE):
@@ -119,53 +111,60 @@ class Instance:
     @property
     def stack_bytes(self) -> int:
         """Deepest use of the stack so far; what the compiler keeps in locals is not on it."""
-        stack = bytes(self._memory[: self._stack_top])
-        return len(stack.lstrip(bytes([_UNTOUCHED])))
+        touched = np.frombuffer(self._memory, np.uint8, self._stack_top) != _UNTOUCHED
+        return self._stack_top - int(touched.argmax()) if touched.any() else 0
 
-    def step(self, step: Step) -> Answer:
-        """Run a step. Raises FirmwareFailure when it fails."""
-        memory, out = self._memory, self._out
-        content = contract.pack_step(step)
-        memory[self._in : self._in + len(content)] = content
-        instructions = self._call(self._step)
-        count, signal_count = COUNTS.unpack_from(memory, out)
+    def step(self, content: bytes) -> int:
+        """Run a step with the bytes of `contract.pack_step`; return the instructions that it took.
+
+        Raises FirmwareFailure when it fails.
+        """
+        self._memory[self._in : self._in + len(content)] = content
+        return self._call(self._step)
+
+    def frames(self) -> list[Frame]:
+        """Return the frames that the step sent. Raises FirmwareFailure for too many, or one that is none."""
+        count, _ = COUNTS.unpack_from(self._memory, self._out)
         if count > MAX_SENT:
             what = f"sent {count} frames in a step; a bus takes at most {MAX_SENT}"
             raise FirmwareFailure(what)
-        begin = out + COUNTS.size
+        begin = self._out + COUNTS.size
         try:
-            frames = contract.unpack_frames(
-                bytes(memory[begin : begin + count * contract.FRAME.size])
-            )
+            return contract.unpack_frames(self._memory[begin : begin + count * contract.FRAME.size])
         except ValueError as error:
             raise FirmwareFailure(str(error)) from None
+
+    def signals(self) -> dict[str, float]:
+        """Return what the step traced."""
+        _, count = COUNTS.unpack_from(self._memory, self._out)
         signals = {}
-        for k in range(min(signal_count, contract.MAX_SIGNALS)):
-            value, name_at = SIGNAL.unpack_from(memory, out + SIGNALS_AT + k * SIGNAL.size)
-            signals[text_at(memory, name_at)] = value
-        return Answer(frames, signals, instructions)
+        for k in range(min(count, contract.MAX_SIGNALS)):
+            at = self._out + SIGNALS_AT + k * SIGNAL.size
+            value, name_at = SIGNAL.unpack_from(self._memory, at)
+            signals[text_at(self._memory, name_at)] = value
+        return signals
 
-    def snapshot(self) -> bytes:
+    def snapshot(self) -> tuple[bytes, int]:
         """Return the whole state."""
-        return bytes(self._memory)
+        return bytes(self._memory), self._stack()
 
-    def restore(self, state: bytes) -> None:
-        """Continue from a state of the same module."""
-        self._memory[:] = state
+    def restore(self, state: tuple[bytes, int]) -> None:
+        """Continue from a state of the same module, also after a failure."""
+        self._memory[:], pointer = state
+        if pointer != self._stack():
+            self._stack_pointer.set_value(self._store, pointer)
 
     def _call(self, function: Any) -> int:
         """Call a function with empty outputs; return the instructions that it took."""
         store, memory, out = self._store, self._memory, self._out
         memory[out : out + COUNTS.size] = bytes(COUNTS.size)
-        at = out + FAILURE_AT
-        memory[at : at + FAILURE.size] = bytes(FAILURE.size)
         store.set_fuel(MAX_INSTRUCTIONS)
         try:
             function(store)
-        except self.module.wasmtime.Trap as trap:
+        except self._module.wasmtime.Trap as trap:
             overflowed = not 0 <= self._stack() <= self._stack_top
             raise FirmwareFailure(trap_text(trap, MAX_INSTRUCTIONS, overflowed)) from None
-        what, file, line = FAILURE.unpack_from(memory, at)
+        what, file, line = FAILURE.unpack_from(memory, out + FAILURE_AT)
         if what:
             place = f"{text_at(memory, file).rpartition('/')[2]}:{line}: "
             raise FirmwareFailure(place + text_at(memory, what))
@@ -175,11 +174,12 @@ class Instance:
         pointer = self._stack_pointer
         return 0 if pointer is None else int(pointer.value(self._store))
 
-    def _handler(self, name: str) -> Any:
-        def handle(*arguments: Any) -> None:
-            raise FirmwareFailure(finding(name, self._memory, arguments))
 
-        return handle
+def _report(name: str, caller: Any, *arguments: Any) -> None:
+    """Stand for a handler of undefined behaviour."""
+    memory = caller["memory"]
+    content = memoryview(memory.get_buffer_ptr(caller)).cast("B")
+    raise FirmwareFailure(finding(name, content, arguments))
 
 
 def read_module(path: Path) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import random
 import re
 import shutil
@@ -19,11 +18,12 @@ from controller.config import FirmwareConfig, load_config
 from controller.node import ControllerNode
 from sil.cli import main
 from sil.coupling.transports.channel import ParticipantLost
-from sil.firmware import contract
+from sil.firmware import compiler, contract
 from sil.firmware.load import SHIPPED_IN_C, firmware_node
 from sil.log_replay.replay import ReplayRequest, replay
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded, load, shipped
+from sil.simulation.state import State
 from tests.conftest import ROOT
 from tests.faults.drawn import draw
 from tests.golden_replays import golden_path
@@ -41,10 +41,8 @@ MS = 1_000_000
 @pytest.fixture(scope="module")
 def faults_wasm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The twelve faults as a plain module, which has no source beside it."""
-    from sil.firmware.compiler import compiled
-
     path = tmp_path_factory.mktemp("built") / "faults.wasm"
-    path.write_bytes(compiled(FAULTS))
+    path.write_bytes(compiler.compiled(FAULTS))
     return path
 
 
@@ -243,7 +241,7 @@ def test_the_compiler_speaks_for_itself(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_without_the_extras_the_message_says_what_to_install(monkeypatch: Any) -> None:
-    from sil.firmware import compiler, wasm
+    from sil.firmware import wasm
 
     monkeypatch.setitem(__import__("sys").modules, "wasmtime", None)
     wasm.engine.cache_clear()
@@ -257,12 +255,28 @@ def test_without_the_extras_the_message_says_what_to_install(monkeypatch: Any) -
     compiler.tool.cache_clear()
 
 
-def test_a_restored_control_unit_goes_on_as_before() -> None:
-    node = firmware_node(str(DRAFT), FirmwareConfig())
+def test_a_control_unit_goes_on_from_a_saved_state_even_after_it_failed() -> None:
+    node = firmware_node(str(FAULTS), load_config({"windows": {"samples": 18}}, "faults"))
+    state, turns = State(node), []
     node.advance(0, [])
-    copied = pickle.loads(pickle.dumps(node))
-    for tick in (1, 2, 3):
-        assert node.advance(10 * MS * tick, []) == copied.advance(10 * MS * tick, [])
+    saved = state.values()
+    for _ in range(2):
+        state.restore(saved)
+        turns.append([node.advance(10 * MS * tick, []) for tick in (1, 2, 3, 4)])
+        with pytest.raises(ParticipantLost, match="stack overflow, tick 5"):
+            node.advance(50 * MS, [])
+    assert turns[0] == turns[1]
+
+
+def test_a_file_is_compiled_again_when_it_or_what_it_includes_has_changed(tmp_path: Path) -> None:
+    (tmp_path / "own.c").write_text('#include "part.h"\nint number(void) { return NUMBER; }\n')
+    part, path = tmp_path / "part.h", tmp_path / "own.c"
+    modules = []
+    for number in (1, 1, 22):
+        if not part.exists() or str(number) not in part.read_text():
+            part.write_text(f"#define NUMBER {number}\n{DRAFT.read_text()}")
+        modules.append(compiler.compiled(path))
+    assert modules[0] is modules[1] and modules[1] != modules[2]
 
 
 def own_scenario(folder: Path, firmware: str, more: str = "") -> Path:
