@@ -213,9 +213,11 @@ class Screening:
                 cross += block.shared.T @ c - hus @ (inverse @ pulls[k])
             step = self._solved @ cross
             shared += step
+            shared[:healthy] = np.clip(shared[:healthy], -FARTHEST_SD, FARTHEST_SD)
             for k, pull in pulls.items():
                 inverse, hus, _gs = self._inner[k]
-                scatter[k] += inverse @ (pull - hus.T @ step)
+                moved = scatter[k] + inverse @ (pull - hus.T @ step)
+                scatter[k] = np.clip(moved, -FARTHEST_SD, FARTHEST_SD)
         squares = sum(float(c @ c) for c in rest.values()) + float(np.sum(scatter**2))
         return squares + float(shared @ fit.layout.prior @ shared)
 

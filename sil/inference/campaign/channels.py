@@ -23,7 +23,7 @@ NAMES = {
     "force_n": r"f|force|kraft|load(cell)?|u?force",
     "torque_n_m": r"torque|tau|moment|drehmoment",
     "pressure_pa": r"p(?=\d?$|[\W_])|(.*\W)?(pressure|druck|kammer)|.*press(ure)?",
-    "cmd": r"y(?=\d$|[\W_])|.*(coil|cmd|command|valve|ventil|spule|pwm|duty)",
+    "cmd": r"(y|u|i|mv|ev)(?=\d$|[\W_])|.*(coil|cmd|command|valve|ventil|spule|magnet|solenoid|pwm|duty)",
 }
 """Names by which a channel is recognised if no unit identifies it; of a chamber's, how they begin."""
 
@@ -84,6 +84,9 @@ def recognise(
 def _recognised(name: str, values: Floats, stored: str, chambers: str) -> Channel:
     bare = re.split(r"[\[(/.]", name)[0 if re.search(r"[\[(/]", name) else -1].strip().lower()
     unit = stored or unit_of(name)
+    if name.endswith(f"_{unit}") and unit in chambers:  # coil_N is of valve N, force_N in newtons
+        stem = bare.removesuffix(f"_{unit.lower()}")
+        unit = unit if re.fullmatch(NAMES["force_n"], stem) else ""
     if OWN.fullmatch(name):
         scale = SCALES[unit][1] if unit in SCALES else 1.0
         return Channel(name, unit or "SI", name, scale)

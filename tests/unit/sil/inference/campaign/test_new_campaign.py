@@ -45,6 +45,10 @@ RISING = np.linspace(0.0, 0.01, 5)
         ("PWM N [%]", "", "BNF", "cmd_N", 0.01),
         ("T [°C]", "", "BNF", "", 1.0),
         ("cmd_B", "", "BNF", "cmd_B", 1.0),
+        ("coil_N", "", "BNF", "cmd_N", 1.0),  # no newtons
+        ("U_N [V]", "", "BNF", "cmd_N", None),
+        ("p_N", "bar", "BNF", "pressure_N_pa", 1e5),
+        ("Kraft_N", "", "BNF", "force_n", 1.0),
     ],
 )
 def test_a_column_is_known_or_asked_about(
