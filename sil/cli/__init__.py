@@ -286,8 +286,9 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
             message, code = f"{message}; expected a path with permission", BAD_INPUT
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
-    except Exception:
-        if not _interrupts:
+    except Exception as error:
+        message, code = f"{error}; expected a path that can exist", BAD_INPUT
+        if not (_interrupts or message.startswith("Symlink loop")):  # of Path.resolve
             raise
     if _interrupts:
         message, code = "interrupted", _interrupted_code()

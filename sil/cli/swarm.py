@@ -71,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _base(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the table that every scenario is drawn around. Raises InputError."""
     from can_dbc.errors import InputError
-    from sil.firmware.load import IN_C, absolute, is_program
+    from controller.config import FirmwareConfig
+    from sil.firmware.load import IN_C, absolute, firmware_node, is_program
     from sil.simulation import load_scenario
 
     if arguments.runs is None and arguments.hours is None:
@@ -86,11 +87,13 @@ def _base(arguments: argparse.Namespace) -> dict[str, Any]:
         firmware = absolute(arguments.target, Path())
         if arguments.target != IN_C and not target.exists():
             raise InputError(f"{target}: no such file; expected a scenario, or a firmware")
+        firmware_node(firmware, FirmwareConfig()).close()  # refused here, not in each run
         return {"name": "swarm", "duration_s": 1.0, "request": [], "firmware": firmware}
     loaded = load_scenario.load(arguments.target)
     table, _ = load_scenario.read(arguments.target)
     if loaded.scenario.firmware:
         table["firmware"] = loaded.scenario.firmware
+        firmware_node(loaded.scenario.firmware, loaded.scenario.controller).close()
     table.pop("expect", None)
     table["name"] = "swarm"
     return table

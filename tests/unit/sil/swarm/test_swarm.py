@@ -97,13 +97,23 @@ def test_shrinking_leaves_what_is_needed() -> None:
         (["lab_n_b", "--runs", "0"], "--runs 0"),
         (["none", "--runs", "1"], "none: scenario: "),
         (["none.py", "--runs", "1"], "no such file"),
+        (["empty.py", "--runs", "1"], "empty.py:1: LookupError: no class 'Firmware'"),
+        (["loop.py", "--runs", "1"], "loop.py'; expected a path that can exist"),
+        ([".", "--runs", "1"], "is a folder; expected FILE.py"),
         (["lab_n_b", "--runs", "1", "--resume"], "--resume: no folder"),
         (["lab_n_b", "--runs", "1", "--workers", "0"], "--workers 0"),
     ],
 )
 def test_wrong_arguments_end_in_one_line(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    (tmp_path / "empty.py").write_text("")
+    (tmp_path / "loop.py").symlink_to("loop.py")
+    monkeypatch.chdir(tmp_path)
     assert cli.main(["swarm", *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
