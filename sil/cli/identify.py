@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 from dataclasses import asdict
 
@@ -11,11 +10,10 @@ from sil.cli.options import JSON, argument, out
 
 EXAMPLE = "example: opc4 identify friction measured/ --out friction/"
 
-WHAT = {"flow": "flow", "friction": "friction", "alpha": "exponents", "damper": "oil"}
-"""What is identified -> the module that does it."""
+WHAT = ("flow", "friction", "alpha", "damper")
 
 ARGUMENTS = (
-    argument("what", ", ".join(WHAT), "WHAT", choices=tuple(WHAT)),
+    argument("what", ", ".join(WHAT), "WHAT", choices=WHAT),
     argument("campaign", "campaign folder", "CAMPAIGN"),
     argument("--model", "parameter set or model file", "MODEL", default="nominal"),
     *out("runs/CAMPAIGN-WHAT-N"),
@@ -30,17 +28,20 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
-    from sil.inference.identify.estimate import Identified, model_of
+    from sil.inference.identify.estimate import model_of
+    from sil.inference.identify.flow import identify_flow
+    from sil.inference.identify.whole_record import identify_records
     from sil.report.picture import save
 
     parameters = load_actuator(arguments.model)
     campaign = load_campaign(arguments.campaign)
-    module = importlib.import_module(f"sil.inference.identify.{WHAT[arguments.what]}")
-    method = getattr(module, f"identify_{arguments.what}")
     name = f"{campaign.name}-{arguments.what}"
     folder = prepare_folder(arguments.out, name, arguments.force)
     with Progress(f"identifying {arguments.what}", "steps") as progress:
-        result: Identified = method(campaign, parameters, progress)
+        if arguments.what == "flow":
+            result = identify_flow(campaign, parameters, progress)
+        else:
+            result = identify_records(arguments.what, campaign, parameters, progress)
     write_atomically(folder / "model.toml", model_of(result, parameters))
     save(result.figure, folder, arguments.what)
     if arguments.json:

@@ -205,7 +205,7 @@ def judge(folder: Path, kind: str, seed: int) -> tuple[str, list[str], float, fl
     if result["verdict"] == "cannot_tell":
         causes = [result["findings"][0][:60]]
     surest = max((cause["probability"] for cause in result["causes"]), default=0.0)
-    return result["verdict"], causes, surest, found.over_noise(found.leader), true["noise_n"]
+    return result["verdict"], causes, surest, found.leader.over_noise, true["noise_n"]
 
 
 def is_right(kind: str, verdict: str, causes: list[str]) -> bool:

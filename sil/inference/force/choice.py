@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sil.inference.force.fit import Bank, Group, Tried, gain_in_errors
+from sil.inference.force.fit import Bank, Group, Tried, gain_in_errors, jackknife
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import CONDITIONS
 from sil.inference.thresholds import LIMITS, UNNAMED
@@ -70,13 +70,15 @@ def has_one_value(bank: Bank, item: Tried, group: Group) -> bool:
         values = condition(bank.record.raw)[bank.record.judged]
         middle = np.median(values)
         for rows in (values < middle, values >= middle):
-            values_of_half, deviations = bank.fitted_on(item.groups, rows)
-            ratio, error = (
-                values_of_half[k] / item.values[k],
-                2.0 * deviations[k] / abs(item.values[k]),
-            )
-            most = LIMITS.max_value_ratio
-            if ratio + error < 1.0 / most or ratio - error > most:
+            if len(np.unique(bank.fold[rows])) < 2:
+                continue
+            half, without = bank.unbounded(item.groups, rows)
+            ratio = half[k] / item.values[k]
+            error = 2.0 * jackknife(without - half)[k] / abs(item.values[k])
+            if (
+                ratio + error < 1.0 / LIMITS.max_value_ratio
+                or ratio - error > LIMITS.max_value_ratio
+            ):
                 return False
     return True
 

@@ -15,18 +15,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.effects.force_term import Floats, Motion
+from plant.effects.force_term import Floats, ForceTerm, Motion
 from sil.inference.evidence import ChannelMisfit, Misfit
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import (
     FLEXIBLE,
-    MORE,
     SMOOTH,
     Term,
     centred,
     difference,
     hats,
-    named_terms,
+    terms,
 )
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Explanation
@@ -38,13 +37,12 @@ POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
 
 @dataclass(frozen=True)
 class Group:
-    """Columns that enter together: one of a term with a shape, several of a smooth function."""
+    """Columns that enter together: one of a form, several of a smooth function."""
 
     name: str
     id: str
     cause_class: str
-    term: Term | None
-    shape: float
+    form: ForceTerm | None
     columns: tuple[int, ...]
 
 
@@ -127,11 +125,11 @@ class Tried(Explanation):
         for group in self.groups:
             value, deviation = float(self.values[k]), float(self.deviations[k])
             k += len(group.columns)
-            if group.term is None:
+            if group.form is None:
                 continue
-            if abs(value) < 2.0 * deviation or (group.term.form.sign and value < 0.0):
+            if abs(value) < 2.0 * deviation or (group.form.sign and value < 0.0):
                 return False
-            if group.term.form.parameter == VISCOUS and VISCOUS in self.body:  # a part of it
+            if group.form.parameter == VISCOUS and VISCOUS in self.body:  # a part of it
                 viscous, spread = self.value(VISCOUS)
                 if abs(value) > viscous + 2.0 * float(np.hypot(spread, deviation)):
                     return False  # friction would drive the body one way
@@ -175,11 +173,8 @@ class Bank:
         self.body = self._add_body(raw, stated is None)
         base = np.column_stack(self._columns)
         self._base = np.linalg.qr(base)[0]
-        for name, term in named_terms().items():
+        for name, term in terms().items():
             self._add_term(name, term, raw)
-        for term in MORE:
-            if term.id == UNNAMED:
-                self._add_term("pressure times position", term, raw)
         snap = record.filtered(raw.position_m, 4)[rows]
         if np.std(snap) > 10.0 * record.position_sd_m * record.gain_of(4):
             self._add(FLEXIBLE, UNNAMED, "flexibility", None, snap)
@@ -236,7 +231,7 @@ class Bank:
                 if name == "stiffness_cubic":  # whose middle need not be that of the travel
                     square = self.record.filtered(centred(raw) ** 2)[self.record.judged]
                     column = np.column_stack([column, square])
-                self._add(name, term.id, term.cause_class, term, column, shape)
+                self._add(name, term.id, term.cause_class, term.form, column)
         if len(self._columns) == before:
             what = "pressure" if term.form.needs_pressure else "motion"
             self.missing[name] = (
@@ -244,19 +239,12 @@ class Bank:
             )
 
     def _add(
-        self,
-        name: str,
-        id_: str,
-        cause_class: str,
-        term: Term | None,
-        table: Floats,
-        shape: float = 0.0,
+        self, name: str, id_: str, cause_class: str, form: ForceTerm | None, table: Floats
     ) -> None:
-        table = table.reshape(len(self.target), -1)
         first = len(self._columns)
-        self._columns += list(table.T)
+        self._columns += list(table.reshape(len(self.target), -1).T)
         columns = tuple(range(first, len(self._columns)))
-        self.groups.append(Group(name, id_, cause_class, term, shape, columns))
+        self.groups.append(Group(name, id_, cause_class, form, columns))
 
     def add_smooth(self) -> list[Group]:
         """Add functions without a form; return their groups."""
@@ -276,8 +264,8 @@ class Bank:
         beyond = self.columns - self._base @ (self._base.T @ self.columns)
         beyond /= np.sqrt(np.sum(beyond**2, axis=0)) + 1e-300
         self._correlation = beyond.T @ beyond
-        self._fold = self.record.raw.block[self.record.judged]
-        self._grams, self._sides, self._squares = products(self.columns, self.target, self._fold)
+        self.fold = self.record.raw.block[self.record.judged]
+        self._grams, self._sides, self._squares = products(self.columns, self.target, self.fold)
         # against the motion, on average over each stroke
         sign = np.sign(self.record.raw.speed_m_s[self.record.judged])
         stroke = np.unique(self.record.stroke[self.record.judged], return_inverse=True)[1]
@@ -294,20 +282,19 @@ class Bank:
     def attempt(self, groups: Sequence[Group]) -> Tried:
         """Fit a hypothesis with every group of strokes held out in turn; deviations by jackknife."""
         picked = self.columns_of(groups)
-        values, without = solved(*self._of(picked))
+        grams, sides = self._grams[:, picked][:, :, picked], self._sides[:, picked]
+        values, without = solved(grams, sides)
         free = jackknife(without - values)
         # mass and friction are not negative: what comes out so is left out
-        kept = list(picked)
+        kept = list(range(len(picked)))
         while True:
             signed = [k for k in kept if k < len(self.body) and self.body[k] in POSITIVE]
-            worst = min(signed, key=lambda k: values[picked.index(k)], default=-1)
-            if worst < 0 or values[picked.index(worst)] >= 0.0:
+            worst = min(signed, key=lambda k: values[k], default=-1)
+            if worst < 0 or values[worst] >= 0.0:
                 break
             kept.remove(worst)
-            rows = [picked.index(k) for k in kept]
-            values, without = np.zeros(len(picked)), np.zeros((len(without), len(picked)))
-            values[rows], without[:, rows] = solved(*self._of(kept))
-        grams, sides = self._of(picked)
+            values, without = np.zeros_like(values), np.zeros_like(without)
+            values[kept], without[:, kept] = solved(grams[:, kept][:, :, kept], sides[:, kept])
         squares = (
             self._squares
             - 2.0 * np.sum(without * sides, axis=1)
@@ -323,34 +310,18 @@ class Bank:
             self.body,
         )
 
-    def free_combination(self, weights: Floats, groups: Sequence[Group]) -> tuple[float, float]:
-        """Return a combination of the body's parameters without bounds, fitted with groups, and its deviation.
+    def unbounded(
+        self, groups: Sequence[Group], rows: NDArray[np.bool_] | None = None
+    ) -> tuple[Floats, Floats]:
+        """Return the values [k] of a hypothesis without bounds, and those with each group of strokes left out [f, k].
 
-        weights: [k], for each parameter of the body.
+        rows: the judged samples [n] to fit it to, all by default.
         """
+        use = np.ones(len(self.target), dtype=bool) if rows is None else rows
         picked = self.columns_of(groups)
-        values, without = solved(*self._of(picked))
-        shares = np.zeros(len(picked))
-        shares[: len(weights)] = weights / self.scale[picked][: len(weights)]
-        return float(shares @ values), float(jackknife((without - values) @ shares))
-
-    def fitted_on(self, groups: Sequence[Group], rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-        """Return values and deviations [k] of a hypothesis, without bounds, on some judged samples [n].
-
-        Infinite deviations where the samples are of fewer than two groups of strokes.
-        """
-        picked = self.columns_of(groups)
-        if len(np.unique(self._fold[rows])) < 2:
-            return np.zeros(len(picked)), np.full(len(picked), np.inf)
-        grams, sides, _ = products(
-            self.columns[rows][:, picked], self.target[rows], self._fold[rows]
-        )
+        grams, sides, _ = products(self.columns[use][:, picked], self.target[use], self.fold[use])
         values, without = solved(grams, sides)
-        return values / self.scale[picked], jackknife(without - values) / self.scale[picked]
-
-    def _of(self, picked: Sequence[int]) -> tuple[Floats, Floats]:
-        """Return the products of these columns with each other [f, k, k] and with the target [f, k]."""
-        return self._grams[:, picked][:, :, picked], self._sides[:, picked]
+        return values / self.scale[picked], without / self.scale[picked]
 
     def free_rms(self, group: Group) -> float:
         """Return the rms of what one unit of a group changes that the body cannot make up [N]."""

@@ -79,8 +79,8 @@ def write_page(diagnosis: ForceDiagnosis, folder: Path, campaign: str) -> None:
         verdict=verdict,
         good=verdict == "consistent",
         tiles=[
-            (f"{diagnosis.over_noise(diagnosis.plain):.3g}", "residual over noise, plain body"),
-            (f"{diagnosis.over_noise(diagnosis.leader):.3g}", "of what is claimed"),
+            (f"{diagnosis.plain.over_noise:.3g}", "residual over noise, plain body"),
+            (f"{diagnosis.leader.over_noise:.3g}", "of what is claimed"),
             (f"{diagnosis.error(diagnosis.leader):.2%}", "of the driving force"),
             *((f"{cause.probability:.2f}", f"probability of {cause.id}") for cause in causes[:3]),
         ],

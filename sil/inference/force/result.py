@@ -47,10 +47,6 @@ class ForceDiagnosis:
         """The hypothesis accepted: the plain body if no cause is."""
         return self.verdict_.leader
 
-    def over_noise(self, item: Tried) -> float:
-        """Return the held-out rms over the noise of the balance; 1 = explained."""
-        return item.over_noise
-
     def error(self, item: Tried) -> float:
         """Return the relative force error: held-out rms over the rms of the driving force."""
         return item.rms_n / (float(np.sqrt(np.mean(self.bank.target**2))) + 1e-300)
@@ -58,7 +54,7 @@ class ForceDiagnosis:
     @property
     def unit(self) -> str:
         """Unit of the driving force, or torque."""
-        return self.record.units.get("N", "N")
+        return self._unit("N")
 
     @property
     def verdict(self) -> str:
@@ -67,15 +63,18 @@ class ForceDiagnosis:
             return kind_of(Conclusion({}, undecidable="; ".join(self.doubts)))
         return self.verdict_.kind
 
+    def _unit(self, unit: str) -> str:
+        """Return a unit of the catalogue as this rig has it, which may be rotary."""
+        return self.record.units.get(unit, unit)
+
     def body(self) -> dict[str, Interval]:
         """Return the body's parameters, without a mass that the motion does not determine."""
         parameters = {}
         for name in self.leader.body:
-            unit = self.record.units.get(BODY[name], BODY[name])
-            item = Interval.normal(*self.leader.value(name), unit)
-            parameters[name] = replace(item, low=max(0.0, item.low)) if name in POSITIVE else item
-        if "mass_kg" in parameters and self._loose_mass():
-            del parameters["mass_kg"]
+            item = Interval.normal(*self.leader.value(name), self._unit(BODY[name]))
+            if name != "mass_kg" or not self._loose_mass():
+                low = max(0.0, item.low) if name in POSITIVE else item.low
+                parameters[name] = replace(item, low=low)
         return parameters
 
     def _loose_mass(self) -> str:
@@ -85,8 +84,8 @@ class ForceDiagnosis:
         value, deviation = self.leader.value("mass_kg")
         if 1.96 * deviation <= 0.25 * value:
             return ""
-        high, unit = value + 1.96 * deviation, self.record.units.get("kg", "kg")
-        return f"not determined, at most {high:.3g} {unit}: faster strokes would determine it"
+        high = f"{value + 1.96 * deviation:.3g} {self._unit('kg')}"
+        return f"not determined, at most {high}: faster strokes would determine it"
 
     def causes(self) -> list[Cause]:
         """Return the causes claimed and their rivals, and what no named cause explains."""
@@ -108,20 +107,19 @@ class ForceDiagnosis:
         group = item.groups[item.ids.index(name)]
         k = len(item.body) + sum(len(g.columns) for g in item.groups[: item.groups.index(group)])
         value, deviation = float(item.values[k]), float(item.deviations[k])
-        assert group.term is not None or name == UNNAMED
-        if group.term is None:
+        assert group.form is not None or name == UNNAMED
+        if group.form is None:
             what, parameter, unit = f"a force with the {group.name}", "snap_kg_s2", "kg s^2"
         else:
-            form = group.term.form
-            what, parameter = form.what, form.parameter
-            unit = self.record.units.get(form.unit, form.unit)
+            what, parameter = group.form.what, group.form.parameter
+            unit = self._unit(group.form.unit)
         others = [
             i for i in self.judged if name not in i.ids and set(i.ids) <= set(self.leader.ids)
         ]
         without = min(others, key=lambda i: i.score)
         text = (
             f"{what}: {value:.3g} {unit}; with it, the held-out residual falls from "
-            f"{self.over_noise(without):.3g} to {self.over_noise(item):.3g} times the noise, "
+            f"{without.over_noise:.3g} to {item.over_noise:.3g} times the noise, "
             f"{gain_in_errors(item, without):.1f} standard errors; relative force error "
             f"{self.error(without):.2%} before, {self.error(item):.2%} after"
         )
@@ -158,7 +156,7 @@ class ForceDiagnosis:
             probability,
             {"force_rms_n": Interval(value, low, high, self.unit)},
             f"{besides}a force of {value:.3g} {self.unit} rms that no named cause explains: the held-out residual is "
-            f"{self.over_noise(item):.3g} times the noise of {item.noise_n:.3g} {self.unit} "
+            f"{item.over_noise:.3g} times the noise of {item.noise_n:.3g} {self.unit} "
             f"({self.error(item):.1%} of the driving force); {where}",
             what=f"a force of {value:.2g} {self.unit} rms, {self.error(item):.1%} of the driving force",
         )
@@ -184,7 +182,7 @@ class ForceDiagnosis:
         refused = [f"{name}: {why}" for name, why in self.refused().items()]
         left = (
             f"the best hypothesis leaves {self.error(self.leader):.1%} of the driving force unexplained, "
-            f"{self.over_noise(self.leader):.3g} times the noise"
+            f"{self.leader.over_noise:.3g} times the noise"
         )
         return [*self.doubts, *([left] if self.doubts else []), *self.record.findings, *refused]
 
@@ -196,8 +194,8 @@ class ForceDiagnosis:
         return Gain(
             (f"every group of {self.record.held_out} in turn",),
             {channel: (self.plain.rms_n, leader.rms_n, leader.noise_n)},
-            self.over_noise(self.plain),
-            self.over_noise(leader),
+            self.plain.over_noise,
+            leader.over_noise,
         )
 
     def detectable(self) -> list[dict[str, Any]]:
@@ -209,15 +207,15 @@ class ForceDiagnosis:
         sizes: dict[str, dict[str, Any]] = {}
         for item in self.singles:
             group = item.groups[0]
-            if group.term is None or group.id in (*self.verdict_.claimed, UNNAMED):
+            if group.form is None or group.id in (*self.verdict_.claimed, UNNAMED):
                 continue
             deviation = float(item.deviations[len(item.body)])
             free_n = self.bank.free_rms(group)
             least = (2.0 * needed / item.count) ** 0.5 * max(item.noise_n, item.expected_n) / free_n
-            unit = self.record.units.get(group.term.form.unit, group.term.form.unit)
+            unit = self._unit(group.form.unit)
             sizes[group.id] = {
                 "id": group.id,
-                "parameter": group.term.form.parameter,
+                "parameter": group.form.parameter,
                 "size": max(least, (LIMITS.min_standard_errors + 1.28) * deviation),
                 "unit": unit,
             }

@@ -17,12 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from sil.inference.force.delay import without_delay
-from sil.inference.force.fit import (
-    Bank,
-    Group,
-    Tried,
-    gain_in_errors,
-)
+from sil.inference.force.fit import Bank, Group, Tried, gain_in_errors, jackknife
 from sil.inference.force.record import Recorded, read_motion
 from sil.inference.force.result import ForceDiagnosis
 from sil.inference.force.terms import difference
@@ -83,7 +78,7 @@ def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
     others = tuple(item for item in leader.groups if item is not group)
     own_class, foreign = [leader], list[Tried]()
     for other in bank.groups:
-        if other.name in {g.name for g in leader.groups}:
+        if other.name in leader.names:
             continue
         described = bank.columns[thin][:, bank.columns_of([other])]
         if difference(np.linalg.qr(described)[0], cause_column) < 0.5:
@@ -129,10 +124,14 @@ def _friction(bank: Bank, groups: Sequence[Group]) -> str:
     """
     speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
     size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
-    (power, spread), (mass, mass_spread) = (
-        bank.free_combination(np.array([weights.get(name, 0.0) for name in bank.body]), groups)
-        for weights in (size, {"mass_kg": 1.0})
-    )
+    values, without = bank.unbounded(groups)
+
+    def combined(weights: dict[str, float]) -> tuple[float, float]:
+        shares = np.zeros(len(values))
+        shares[: len(bank.body)] = [weights.get(name, 0.0) for name in bank.body]
+        return float(shares @ values), float(jackknife((without - values) @ shares))
+
+    (power, spread), (mass, mass_spread) = combined(size), combined({"mass_kg": 1.0})
     drives, negative = power < -2.0 * spread, mass < -2.0 * mass_spread
     if not drives and not (negative and power < 2.0 * spread):
         return ""

@@ -9,7 +9,7 @@ Checked by: tests/unit/sil/inference/force/test_rig.py
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,7 @@ from plant.effects.force_term import Floats, ForceTerm, Motion
 from sil.inference.thresholds import UNNAMED
 
 
-@dataclass(frozen=True)
-class Term:
+class Term(NamedTuple):
     """A candidate: an id of the vocabulary, its class, and its form."""
 
     id: str
@@ -37,73 +36,57 @@ def _pressure(motion: Motion) -> Floats:
     return np.zeros(0) if motion.pressure_pa is None else motion.pressure_pa
 
 
-MORE = (
-    Term(
-        "stiffness",
-        "mechanics",
-        ForceTerm(
-            "stiffness_n_m",
-            "N/m",
-            "a spring, or enclosed gas, whose dead volume and exponent cannot be separated",
-            lambda m, _s: centred(m),
-        ),
-    ),
-    Term(
-        "stiffness_cubic",
-        "mechanics",
-        ForceTerm(
-            "cubic_n_m3",
-            "N/m^3",
-            "a spring whose rate changes with deflection",
-            lambda m, _s: centred(m) ** 3,
-            sign=0,
-        ),
-    ),
-    Term(
-        "quadratic_drag",
-        "friction",
-        ForceTerm(
-            "drag_n_s2_m2",
-            "N s^2/m^2",
-            "resistance grows with the square of speed",
-            lambda m, _s: m.speed_m_s * np.abs(m.speed_m_s),
-        ),
-    ),
-    Term(
-        "pressure_gain",
-        "gauge",
-        ForceTerm(
-            "area_m2",
-            "m^2",
-            "force in proportion to pressure: error of area or gauge",
-            lambda m, _s: _pressure(m),
-            sign=0,
-            needs_pressure=True,
-        ),
-    ),
-    Term(
-        UNNAMED,
-        "geometry",
-        ForceTerm(
-            "area_per_m_m",
-            "m",
-            "an effective area that changes with position",
-            lambda m, _s: _pressure(m) * centred(m),
-            sign=0,
-            needs_pressure=True,
-        ),
-    ),
+STIFFNESS = ForceTerm(
+    "stiffness_n_m",
+    "N/m",
+    "a spring, or enclosed gas, whose dead volume and exponent cannot be separated",
+    lambda m, _s: centred(m),
+)
+CUBIC = ForceTerm(
+    "cubic_n_m3",
+    "N/m^3",
+    "a spring whose rate changes with deflection",
+    lambda m, _s: centred(m) ** 3,
+    sign=0,
+)
+DRAG = ForceTerm(
+    "drag_n_s2_m2",
+    "N s^2/m^2",
+    "resistance grows with the square of speed",
+    lambda m, _s: m.speed_m_s * np.abs(m.speed_m_s),
+)
+GAIN = ForceTerm(
+    "area_m2",
+    "m^2",
+    "force in proportion to pressure: error of area or gauge",
+    lambda m, _s: _pressure(m),
+    sign=0,
+    needs_pressure=True,
+)
+CHANGING_AREA = ForceTerm(
+    "area_per_m_m",
+    "m",
+    "an effective area that changes with position",
+    lambda m, _s: _pressure(m) * centred(m),
+    sign=0,
+    needs_pressure=True,
 )
 
 
-def named_terms() -> dict[str, Term]:
+def terms() -> dict[str, Term]:
     """Return the candidates by name: effects of the catalogue and physics beyond it."""
-    terms = {
+    effects = {
         name: Term(name, item.cause_class, item.force)
         for name, item in CATALOGUE.items()
         if item.force is not None
     }
-    return terms | {term.id: term for term in MORE if term.id != UNNAMED}
+    return effects | {
+        "stiffness": Term("stiffness", "mechanics", STIFFNESS),
+        "stiffness_cubic": Term("stiffness_cubic", "mechanics", CUBIC),
+        "quadratic_drag": Term("quadratic_drag", "friction", DRAG),
+        "pressure_gain": Term("pressure_gain", "gauge", GAIN),
+        "pressure times position": Term(UNNAMED, "geometry", CHANGING_AREA),
+    }
 
 
 FLEXIBLE = "fourth derivative of position"

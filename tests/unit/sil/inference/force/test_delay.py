@@ -87,7 +87,7 @@ def test_a_force_half_a_sampling_step_off_is_moved(tmp_path, steps) -> None:
     t += steps / 500.0
     exact = 100.0 * np.sin(2.1 * t) + 40.0 * np.sin(5.7 * t)
     found = diagnose_force(changed(folder, "x_mm", lambda x: exact + 0.01 * (x - exact)))
-    assert found.verdict == "consistent" and found.over_noise(found.plain) < 1.25
+    assert found.verdict == "consistent" and found.plain.over_noise < 1.25
     (text,) = [line for line in found.findings() if "within a sampling step" in line]
     assert float(text.split()[4]) == pytest.approx(0.001, rel=0.02)
     assert ("late" if steps > 0 else "early") in text

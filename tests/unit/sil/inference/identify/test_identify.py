@@ -27,10 +27,8 @@ from sil.campaign.campaign import (
     write_record,
 )
 from sil.cli import main
-from sil.inference.identify.exponents import identify_alpha
 from sil.inference.identify.flow import identify_flow, two_polynomials
-from sil.inference.identify.friction import identify_friction
-from sil.inference.identify.oil import identify_damper
+from sil.inference.identify.whole_record import identify_records
 
 TRUTH = {
     "friction_fixed.F_sf": 80.0,
@@ -104,7 +102,7 @@ def only(section: str) -> ParameterSet:
 
 
 def test_friction_is_recovered(plain: Campaign) -> None:
-    found = identify_friction(plain, load())
+    found = identify_records("friction", plain, load())
     assert found.fits, found.judgement
     for item in found.estimates:
         assert item.low <= TRUTH[item.path] <= item.high, item
@@ -114,7 +112,7 @@ def test_friction_is_recovered(plain: Campaign) -> None:
 def test_exponents_are_recovered(tmp_path: Path) -> None:
     strokes = [conditions(), conditions(supply_pressure_pa=6e5)] * 2
     campaign = write_campaign(tmp_path, strokes, only("alpha"), 6)
-    found = identify_alpha(campaign, load())
+    found = identify_records("alpha", campaign, load())
     assert found.fits, found.judgement
     for item in found.estimates:
         assert item.low <= TRUTH[item.path] <= item.high, item
@@ -124,7 +122,7 @@ def test_exponents_are_recovered(tmp_path: Path) -> None:
 def test_damper_is_recovered(tmp_path: Path) -> None:
     strokes = [conditions(load="damper"), conditions(load="damper", supply_pressure_pa=6e5)]
     campaign = write_campaign(tmp_path, strokes, only("damper"), 7)
-    found = identify_damper(campaign, load())
+    found = identify_records("damper", campaign, load())
     assert found.fits, found.judgement
     estimates = {item.path: item for item in found.estimates}
     for path in ("damper.A_S", "damper.kappa_effective"):
@@ -202,8 +200,10 @@ def test_command_writes_a_model_that_loads(plain: Campaign, tmp_path: Path) -> N
 
 def test_a_campaign_without_what_is_needed_is_refused(tmp_path: Path) -> None:
     campaign = write_campaign(tmp_path, [conditions(load="damper")], load(), 9)
-    with pytest.raises(InputError, match="unloaded strokes"):
-        identify_friction(campaign, load())
+    with pytest.raises(InputError, match="without load"):
+        identify_records("friction", campaign, load())
     (tmp_path / "plain").mkdir()
     with pytest.raises(InputError, match="damper"):
-        identify_damper(write_campaign(tmp_path / "plain", [conditions()], load(), 9), load())
+        identify_records(
+            "damper", write_campaign(tmp_path / "plain", [conditions()], load(), 9), load()
+        )
