@@ -117,24 +117,16 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
                 f"file: {self.file!r}; expected the name of a file next to campaign.toml"
             )
 
-    def conditions(
-        self, atmosphere_pa: float, temperature_k: float, progress: float, gauge_pa: float
-    ) -> StrokeConditions:
-        """Return what the plant has to know; `progress` as in `StrokeConditions`.
-
-        gauge_pa: what the stated pressure counts from [Pa].
-        """
-        values = {
-            key: value
-            for key, value in asdict(self).items()
-            if key not in ("file", "label", "flow_model")
-        }
-        values["supply_pressure_pa"] += gauge_pa
+    def conditions(self, campaign: CampaignTable, progress: float) -> StrokeConditions:
+        """Return what the plant has to know; `progress` as in `StrokeConditions`."""
+        values = asdict(self)
+        del values["file"], values["label"], values["flow_model"]
+        values["supply_pressure_pa"] += campaign.gauge_pa
         values["commands"] = tuple(sorted(self.commands, key=lambda command: command[0]))
         return StrokeConditions(
             **values,
-            atmosphere_pa=atmosphere_pa,
-            temperature_k=temperature_k,
+            atmosphere_pa=campaign.atmosphere_pa,
+            temperature_k=campaign.temperature_k,
             theoretical_flow=self.flow_model == "theoretical",
             progress=progress,
         )
@@ -162,6 +154,11 @@ class CampaignTable(Struct, frozen=True, forbid_unknown_fields=True):
     columns: dict[str, Text | ColumnMap] = {}
     pressures: Literal["absolute", "gauge"] = "absolute"
     decimal: Decimal | None = None
+
+    @property
+    def gauge_pa(self) -> float:
+        """What pressures count from [Pa]."""
+        return self.atmosphere_pa if self.pressures == "gauge" else 0.0
 
 
 @dataclass(frozen=True)
@@ -300,21 +297,17 @@ def load_campaign(path: str | Path) -> Campaign:
     values = {key: value for key, value in raw.items() if key != "columns"}  # names of columns
     table = convert(raw | without_units(values, str(file)), CampaignTable, str(file))
     check_files([entry.file for entry in table.stroke], file)
-    last = max(len(table.stroke) - 1, 1)
-    single = len(table.stroke) == 1
-    gauge_pa = table.atmosphere_pa if table.pressures == "gauge" else 0.0
-    conditions = [
-        entry.conditions(
-            table.atmosphere_pa, table.temperature_k, 1.0 if single else number / last, gauge_pa
+    last = len(table.stroke) - 1
+    strokes = tuple(
+        CampaignStroke(
+            entry.file,
+            entry.label or entry.kind,
+            entry.conditions(table, number / last if last else 1.0),
         )
         for number, entry in enumerate(table.stroke)
-    ]
-    strokes = tuple(
-        CampaignStroke(entry.file, entry.label or entry.kind, stroke_conditions)
-        for entry, stroke_conditions in zip(table.stroke, conditions, strict=True)
     )
     top = {key: getattr(table, key) for key in TOP}
-    recorder = Recorder(column_maps(table.columns), gauge_pa, table.decimal)
+    recorder = Recorder(column_maps(table.columns), table.gauge_pa, table.decimal)
     return Campaign(file.parent, **top, strokes=strokes, recorder=recorder)
 
 
@@ -362,28 +355,28 @@ def read_record(path: Path, recorder: Recorder | None = None) -> Record:
     notes = [dialect]
     if left_out := _without_infinite(path, channels, used):
         notes.append(f"columns with values that are not finite left out: {', '.join(left_out)}")
-    for name in channels if recorder.gauge_pa else ():
+    for name in channels:
         if OWN.fullmatch(name) and name.startswith("pressure_"):
             channels[name] = channels[name] + recorder.gauge_pa
     steps = np.diff(channels["time_s"])
-    repeated = np.append(False, steps == 0.0)
-    if np.any(steps < 0.0) or 2 * np.count_nonzero(repeated) >= len(steps):
+    fresh = np.append(True, steps > 0.0)
+    if np.any(steps < 0.0) or 2 * np.count_nonzero(~fresh) >= len(steps):
         row = int(np.argmax(steps <= 0.0))
         where = f"sample {row + 2}" if dialect else f"line {row + 3}"
         raise InputError(
             f"{path}: {where}: time_s does not increase; expected rising times, or time_s = "
             '"row / RATE" in [columns]'
         )
-    if np.any(repeated):
-        channels = {name: values[~repeated] for name, values in channels.items()}
-        notes.append(f"{counted(int(repeated.sum()), 'sample')} left out that repeat a stamp")
+    if not np.all(fresh):
+        channels = {name: values[fresh] for name, values in channels.items()}
+        notes.append(f"{counted(int(np.sum(~fresh)), 'sample')} left out that repeat a stamp")
     time_s = channels["time_s"]
     inside = np.ones(len(time_s), dtype=bool)
     for ours, source in recorder.columns.items():
         if source.delay_s:
-            own_s = time_s + source.delay_s
-            inside &= (own_s >= time_s[0]) & (own_s <= time_s[-1])
-            channels[ours] = np.interp(own_s, time_s, channels[ours])
+            late_s = time_s + source.delay_s
+            inside &= (late_s >= time_s[0]) & (late_s <= time_s[-1])
+            channels[ours] = np.interp(late_s, time_s, channels[ours])
     if not np.any(inside):
         raise InputError(f"{path}: delay_s: longer than the record of {np.ptp(time_s):.4g} s")
     channels = {name: values[inside] for name, values in channels.items()}
@@ -468,13 +461,11 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 
     columns: [n] each, in SI units.
     """
-    usual = {name: 3 if name.startswith("cmd_") else 1 for name in columns}
-    finer = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
-    formats = [f"%.{finer.get(name, decimals)}f" for name, decimals in usual.items()]
+    decimals = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
+    formats = [f"%.{decimals.get(name, 3 if name.startswith('cmd_') else 1)}f" for name in columns]
     table = np.column_stack(list(columns.values()))
-    row = ",".join(formats) + "\n"
     # one formatting call for the whole table: np.savetxt makes one a row and takes twice as long
-    rows = (row * len(table)) % tuple(table.ravel().tolist())
+    rows = ((",".join(formats) + "\n") * len(table)) % tuple(table.ravel().tolist())
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write(",".join(columns) + "\n" + rows)
 
@@ -483,10 +474,13 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     """Return the text of campaign.toml for a campaign."""
     keys = ["kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s"]
     keys += ["commands", "charged_before"]
-    lines = [f"{key} = {toml_value(getattr(campaign, key))}" for key in TOP]
     recorder = campaign.recorder
-    lines += ['pressures = "gauge"'] if recorder.gauge_pa else []
-    lines += [f"decimal = {toml_value(recorder.decimal)}"] if recorder.decimal else []
+    top: dict[str, object] = {key: getattr(campaign, key) for key in TOP}
+    if recorder.gauge_pa:
+        top["pressures"] = "gauge"
+    if recorder.decimal:
+        top["decimal"] = recorder.decimal
+    lines = _assignments(top)
     for stroke in strokes:
         c = stroke.conditions
         values: dict[str, object] = {"file": stroke.file, "label": stroke.label}
@@ -498,11 +492,13 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
             values["flow_model"] = "theoretical"
         optional = ("mounted", "mesh_force_n", "sync_impulse_n_s")
         values |= {key: getattr(c, key) for key in optional if getattr(c, key)}
-        lines += ["", "[[stroke]]"]
-        lines += [f"{key} = {toml_value(value)}" for key, value in values.items()]
+        lines += ["", "[[stroke]]", *_assignments(values)]
     if recorder.columns:
         lines += ["", "[columns]"]
     for name, source in recorder.columns.items():
-        table = ", ".join(f"{key} = {toml_value(v)}" for key, v in asdict(source).items())
-        lines.append(f"{name} = {{ {table} }}")
+        lines.append(f"{name} = {{ {', '.join(_assignments(asdict(source)))} }}")
     return "\n".join(lines) + "\n"
+
+
+def _assignments(values: Mapping[str, object]) -> list[str]:
+    return [f"{key} = {toml_value(value)}" for key, value in values.items()]

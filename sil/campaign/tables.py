@@ -224,8 +224,8 @@ def _decimal_of(
     proofs: dict[Decimal, set[str]] = {".": dots - commas, ",": commas - dots}
 
     def first(of: set[str]) -> tuple[int, str]:
-        found = ((k, cell) for k, row in enumerate(rows, layout.first + 1) for cell in row)
-        return next((k, cell) for k, cell in found if cell in of)
+        lines = enumerate(rows, layout.first + 1)
+        return next((k, cell) for k, row in lines for cell in row if cell in of)
 
     shown = [sign for sign, proof in proofs.items() if proof]
     if len(shown) == 2 or (stated and set(shown) - {stated}):

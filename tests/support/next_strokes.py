@@ -24,7 +24,6 @@ from plant.parameters import load
 from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml, joined, load_campaign
 from sil.inference.campaign.designs import designs, imagined
 from sil.inference.campaign.diagnosis import Diagnosis, diagnose
-from sil.inference.campaign.next_experiment import next_campaign
 from tests.hidden_effects import effects
 from tests.hidden_effects.campaign import Hidden, hide, measure_next
 
@@ -72,7 +71,7 @@ def first_campaign(folder: Path, kinds: Sequence[str], hidden: Hidden, seed: int
 def planned(way: str, found: Diagnosis, rng: np.random.Generator) -> tuple[CampaignStroke, ...]:
     """Return as many strokes as were proposed, chosen in another way."""
     assert found.next_experiment is not None
-    proposed = next_campaign(found.campaign, found.next_experiment).strokes
+    proposed = tuple(found.next_experiment.entries)
     if way == "proposed":
         return proposed
     choice: Sequence[CampaignStroke] = found.campaign.strokes

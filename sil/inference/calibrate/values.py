@@ -117,8 +117,8 @@ def actuator_values(
     fields = {field.start: field for field in Parameters.fields.values()}
     for name, amount in amounts.items():
         for index in FACTORS.get(name, ()):
-            own = fields[index].paths
-            paths = [own[system] for system in systems if own and own[system]]
+            by_system = fields[index].paths
+            paths = [by_system[s] for s in systems if by_system and by_system[s]]
             for path in (*paths, *FLOW_MAPS.get(index, ())):
                 old = parameters[path].value
                 if isinstance(old, tuple):

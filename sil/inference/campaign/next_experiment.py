@@ -10,8 +10,7 @@ the log evidence of a hypothesis that is true over another one,
 r being the difference of the two predictions once the false one's own scatter of this stroke is
 fitted (its prior counts in r'r), B the derivatives by that scatter, J those by all else that it may
 move to follow (tolerances, offsets, its own parameters), and P what the strokes measured so far say
-of those.  Sums over strokes of r'Wr, g and J'WJ give d of them
-together.  From d follows the expected information on a question, by the estimate for mixtures of
+of those.  Sums over strokes of [J r]'W[J r] give d of them together.  From d follows the expected information on a question, by the estimate for mixtures of
 Kolchinsky and Tracey (Entropy 19, 2017, 361), and strokes are added one by one where it grows most.
 The idea to place strokes where rivals differ is Box and Hill's (Technometrics 9, 1967, 57-71).
 Assumed: predictions are linear within what is still uncertain of a unit, and a true hypothesis has
@@ -23,7 +22,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
 
@@ -75,20 +74,11 @@ class Question:
 
 @dataclass(frozen=True)
 class Proposed:
-    """One stroke to measure: expected log evidence by (true, false), of the stroke alone."""
+    """One stroke to measure: the pair (true, false) that it alone tells apart best, and the log evidence expected."""
 
     entry: CampaignStroke
-    alone: dict[tuple[str, str], float]
-
-    @property
-    def pair(self) -> tuple[str, str]:
-        """The pair (true, false) that it tells apart best."""
-        return max(self.alone, key=lambda pair: self.alone[pair])
-
-    @property
-    def distance(self) -> float:
-        """Expected log evidence for that pair."""
-        return self.alone[self.pair]
+    pair: tuple[str, str]
+    distance: float
 
 
 @dataclass(frozen=True)
@@ -115,14 +105,14 @@ class NextExperiment:
                 yield count, item
 
     @property
+    def entries(self) -> list[CampaignStroke]:
+        """The strokes as a campaign has them."""
+        return [item.entry for item in self.strokes]
+
+    @property
     def separated(self) -> bool:
         """Whether every pair is expected to be told apart."""
         return min(self.together.values()) >= self.enough
-
-    @property
-    def weakest(self) -> tuple[str, str]:
-        """The pair (true, false) that is told apart worst."""
-        return min(self.together, key=lambda pair: self.together[pair])
 
     @property
     def why(self) -> str:
@@ -133,7 +123,7 @@ class NextExperiment:
         if len(self.together) > 2:
             separated = sum(d >= self.enough for d in self.together.values())
             return f"{self.purpose}: {count}, expected to show {separated} of {len(self.together)}"
-        one, two = self.weakest
+        one, two = min(self.together, key=lambda pair: self.together[pair])
         share = self.together[one, two] / self.enough
         return f"{self.purpose}: {count}, {share:.0%} of what tells {one} from {two}"
 
@@ -161,15 +151,6 @@ class NextExperiment:
                 for (one, two), d in self.together.items()
             ],
         }
-
-
-def next_campaign(campaign: Campaign, experiment: NextExperiment) -> Campaign:
-    """Return the campaign to measure next: the proposed strokes, the recorder's columns as before."""
-    return replace(
-        campaign,
-        name=f"{campaign.name}, next",
-        strokes=tuple(item.entry for item in experiment.strokes),
-    )
 
 
 def conditions_of(entry: CampaignStroke) -> dict[str, Any]:
@@ -224,29 +205,30 @@ def next_experiment(
         return None
     terms = any(candidate.is_term for item in hypotheses for candidate in item.candidates)
     entries = designs(model.strokes, "next", every_rest=terms)
-    rate_hz = campaign.sample_rate_hz
-    strokes = imagined(entries, model.strokes, parameters, rate_hz)
+    strokes = imagined(entries, model.strokes, parameters, campaign.sample_rate_hz)
     wider = CampaignModel([*model.strokes, *strokes], model.spread)
     moved = [_moved(wider, model, item) for item in hypotheses]
     picked, alone, together = _chosen(wider, len(model.strokes), moved, questions, workers)
     if not picked:
         return None
 
-    def by_name(distances: Distances) -> dict[tuple[str, str], float]:
-        return {(moved[i].name, moved[j].name): d for (i, j), d in distances.items()}
-
     proposed = []
     for number, k in enumerate(picked, start=1):
         conditions = wider.strokes[k].conditions
         entry = CampaignStroke(f"stroke_{number:03d}.csv", described(conditions), conditions)
-        proposed.append(Proposed(entry, by_name(alone[k])))
-    best = proposed[0].pair
+        best = max(alone[k], key=lambda pair: alone[k][pair])
+        pair = moved[best[0]].name, moved[best[1]].name
+        proposed.append(Proposed(entry, pair, alone[k][best]))
     return NextExperiment(
         tuple(proposed),
         tuple(item.name for item in moved),
-        by_name(together),
+        {(moved[i].name, moved[j].name): d for (i, j), d in together.items()},
         wider.strokes[picked[0]],
-        {item.name: _predicted(wider, picked[0], item) for item in moved if item.name in best},
+        {
+            item.name: _predicted(wider, picked[0], item)
+            for item in moved
+            if item.name in proposed[0].pair
+        },
         questions[0].enough,
         purpose,
     )
@@ -298,14 +280,13 @@ def _hidden(
     """Return the healthy unit with each cause that the strokes measured would not show at that size."""
     fitter = Fitter(CampaignModel(model.strokes, model.spread))
     with_cause = [healthy_with(healthy, candidate, size) for candidate in candidates]
-    prior = np.eye(len(healthy.shared))
 
     def shown(item: Hypothesis) -> float:
-        separation = Separation({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
+        sums = {(1, 0): np.pad(np.eye(len(healthy.shared)), (0, 1))}
         for k in range(len(model.strokes)):
             more = separation_by(fitter, k, [healthy, item], [_whether(1, enough)])
-            separation = separation if more is None else separation.plus(more)
-        return separation.distances()[1, 0]
+            sums = sums if more is None else added(sums, more)
+        return distances_of(sums)[1, 0]
 
     distances = spread_out(shown, with_cause, workers)
     return [item for item, d in zip(with_cause, distances, strict=True) if d < enough]
@@ -333,29 +314,21 @@ Distances = dict[tuple[int, int], float]
 
 
 # --- what a stroke tells ------------------------------------------------------------------------
-@dataclass
-class Separation:
-    """Sums over strokes by pair (true, false): r'Wr, J'Wr, J'WJ."""
+Sums = dict[tuple[int, int], Floats]
+"""Sums over strokes by pair (true, false): [J r]' W [J r], with the information P on J's parameters."""
 
-    squares: dict[tuple[int, int], float]
-    gradients: dict[tuple[int, int], Floats]
-    normals: dict[tuple[int, int], Floats]
 
-    def plus(self, other: Separation) -> Separation:
-        """Return the sums over the strokes of both."""
-        return Separation(
-            {pair: value + other.squares[pair] for pair, value in self.squares.items()},
-            {pair: value + other.gradients[pair] for pair, value in self.gradients.items()},
-            {pair: value + other.normals[pair] for pair, value in self.normals.items()},
-        )
+def added(one: Sums, other: Sums) -> Sums:
+    """Return the sums over the strokes of both."""
+    return {pair: values + other[pair] for pair, values in one.items()}
 
-    def distances(self) -> Distances:
-        """Return the expected log evidence of each pair."""
-        return {
-            pair: 0.5 * float(square - g @ np.linalg.solve(self.normals[pair], g))
-            for pair, square in self.squares.items()
-            for g in (self.gradients[pair],)
-        }
+
+def distances_of(sums: Sums) -> Distances:
+    """Return the expected log evidence of each pair."""
+    return {
+        pair: 0.5 * float(s[-1, -1] - s[-1, :-1] @ np.linalg.solve(s[:-1, :-1], s[:-1, -1]))
+        for pair, s in sums.items()
+    }
 
 
 def information(question: Question, distances: Distances) -> float:
@@ -376,14 +349,14 @@ def information(question: Question, distances: Distances) -> float:
 
 def separation_by(
     fitter: Fitter, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
-) -> Separation | None:
+) -> Sums | None:
     """Return what stroke k would tell; None if a hypothesis cannot simulate it.
 
     The stroke's own scatter follows by a fit, since edges that move in time are not linear.
     """
     model = fitter.model
     assert isinstance(model, CampaignModel)
-    out = Separation({}, {}, {})
+    sums: Sums = {}
     try:
         for i, j in dict.fromkeys(pair for question in questions for pair in question.pairs):
             false = hypotheses[j]
@@ -394,15 +367,16 @@ def separation_by(
             )
             spread = fit.stroke[k]
             block = model.linearise(k, false.shared, spread, false.candidates)
-            by, b, r = block.shared, block.scatter, block.residual
-            inner = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
-            pull, cross = b.T @ r - spread, b.T @ by
-            out.squares[i, j] = float(r @ r + spread @ spread - pull @ inner @ pull)
-            out.gradients[i, j] = by.T @ r - cross.T @ inner @ pull
-            out.normals[i, j] = by.T @ by - cross.T @ inner @ cross
+            rows = np.column_stack([block.shared, block.residual])
+            prior = np.zeros((len(spread), rows.shape[1]))
+            prior[:, -1] = -spread
+            rows = np.vstack([rows, prior])
+            scatter = np.vstack([block.scatter, np.eye(len(spread))])
+            cross = scatter.T @ rows
+            sums[i, j] = rows.T @ rows - cross.T @ np.linalg.solve(scatter.T @ scatter, cross)
     except IntegrationError:
         return None
-    return out
+    return sums
 
 
 def _predicted(model: CampaignModel, k: int, item: Hypothesis) -> Floats:
@@ -443,40 +417,30 @@ def _chosen(
     separations = spread_out(
         lambda k: separation_by(fitter, k, hypotheses, questions), numbers, workers
     )
-    choices = {
-        k: separation
-        for k, separation in zip(numbers, separations, strict=True)
-        if separation is not None
-    }
+    choices = {k: item for k, item in zip(numbers, separations, strict=True) if item is not None}
     if not choices:
         return [], {}, {}
-    some = next(iter(choices.values()))
-    nothing = sums = Separation(
-        dict.fromkeys(some.squares, 0.0),
-        {pair: np.zeros(len(g)) for pair, g in some.gradients.items()},
-        {(i, j): hypotheses[j].normal for i, j in some.normals},
-    )
+    nothing = sums = {
+        (i, j): np.pad(hypotheses[j].normal, (0, 1)) for i, j in next(iter(choices.values()))
+    }
 
-    def value(separation: Separation) -> float:
-        distances = separation.distances()
+    def value(reached: Sums) -> float:
+        distances = distances_of(reached)
         return sum(information(question, distances) for question in questions)
 
     picked: list[int] = []
-    reached = value(sums)
     most = sum(float(-q.probabilities @ np.log(q.probabilities)) for q in questions)
     while len(picked) < MOST:
-        best = max(choices, key=lambda k: value(sums.plus(choices[k])))
-        gained = value(sums.plus(choices[best])) - reached
-        if gained < 0.01 * most:
+        best = max(choices, key=lambda k: value(added(sums, choices[k])))
+        if value(added(sums, choices[best])) - value(sums) < 0.01 * most:
             if not picked or len(picked) >= FEWEST:
                 break
             best = picked[0]
         picked.append(best)
-        sums = sums.plus(choices[best])
-        reached = value(sums)
-        enough = all(d >= questions[0].enough for d in sums.distances().values())
+        sums = added(sums, choices[best])
+        enough = all(d >= questions[0].enough for d in distances_of(sums).values())
         if enough and len(picked) >= FEWEST:
             break
     picked = sorted(picked, key=picked.index)
-    alone = {k: nothing.plus(choices[k]).distances() for k in picked}
-    return picked, alone, sums.distances()
+    alone = {k: distances_of(added(nothing, choices[k])) for k in picked}
+    return picked, alone, distances_of(sums)

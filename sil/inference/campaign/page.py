@@ -5,7 +5,7 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from sil.inference.campaign.figures import (
     strokes_figure,
     term_figure,
 )
-from sil.inference.campaign.next_experiment import next_campaign
 from sil.inference.campaign.residuals import show
 from sil.inference.campaign.terms import form_of
 from sil.inference.refused import Tried
@@ -62,10 +61,10 @@ def write_next(result: Diagnosis, folder: Path) -> str | None:
     """Write next/campaign.toml, the strokes to measure next; return its path, None without any."""
     if result.next_experiment is None:
         return None
-    following = next_campaign(result.campaign, result.next_experiment)
+    following = replace(result.campaign, name=f"{result.campaign.name}, next")
     path = folder / "next" / "campaign.toml"
     path.parent.mkdir(exist_ok=True)
-    write_atomically(path, campaign_toml(following, following.strokes))
+    write_atomically(path, campaign_toml(following, result.next_experiment.entries))
     return str(path)
 
 

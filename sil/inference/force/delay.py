@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from sil.campaign.campaign import Floats
 from sil.inference.force.choice import Choice, choose
 from sil.inference.force.fit import Bank, Group
-from sil.inference.force.record import FEWEST_SAMPLES, FEWEST_STROKES, RADIUS, Recorded
+from sil.inference.force.record import (
+    FEWEST_SAMPLES,
+    FEWEST_STROKES,
+    RADIUS,
+    Recorded,
+    away_from_ends,
+)
 from sil.inference.thresholds import LIMITS
 
 
@@ -189,18 +195,11 @@ def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:
         mean = (curvature, 1.0 - 2.0 * curvature, curvature)
         return np.concatenate([correlate1d(p, mean, mode="nearest") for p in parts])
 
-    recorded_n, added, pressure = (
-        moved(record.recorded_n),
-        record.raw.force_n - record.recorded_n,
-        None,
-    )
-    if record.raw.pressure_pa is not None:
-        pressure = moved(record.raw.pressure_pa) if pressures else record.raw.pressure_pa
-    raw = replace(
-        record.raw,
-        force_n=recorded_n + (moved(added) if pressures else added),
-        pressure_pa=pressure,
-    )
+    recorded_n, added = moved(record.recorded_n), record.raw.force_n - record.recorded_n
+    pressure = record.raw.pressure_pa
+    if pressures:
+        added, pressure = moved(added), None if pressure is None else moved(pressure)
+    raw = replace(record.raw, force_n=recorded_n + added, pressure_pa=pressure)
     judged = record.judged & _away(record, abs(late_s) / record.step_s)
     return replace(record, raw=raw, recorded_n=recorded_n, judged=judged)
 
@@ -208,7 +207,4 @@ def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:
 def _away(record: Recorded, steps: float) -> NDArray[np.bool_]:
     """Return which samples [n], moved by so many steps, the filter keeps from the ends of their part."""
     reach = int(np.ceil(RADIUS * record.width)) + int(np.ceil(steps))
-    rows = np.arange(len(record.judged))
-    ends = np.append(record.starts[1:], len(rows))
-    part = np.searchsorted(record.starts, rows, side="right") - 1
-    return np.asarray((rows >= record.starts[part] + reach) & (rows < ends[part] - reach))
+    return away_from_ends(record.starts, len(record.judged), reach)

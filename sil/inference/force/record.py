@@ -282,27 +282,27 @@ def _judged(
     """
     from scipy.ndimage import binary_dilation
 
-    lengths = [part.shape[1] for part in parts]
-    _force_sd, position_sd = _joint_noise(noise, lengths)
-    width = (
-        _width(parts, position_sd)
-        if rig.body.smooth_s is None
-        else max(1.0, rig.body.smooth_s / step)
-    )
-    speeds = [smoothed(part[0], width, 1) / step for part in parts]
+    counts = [part.shape[1] for part in parts]
+    starts = np.cumsum([0, *counts[:-1]])
+    if rig.body.smooth_s is None:
+        width = _width(parts, _joint_noise(noise, counts)[1])
+    else:
+        width = max(1.0, rig.body.smooth_s / step)
     x, f, p, recorded_n = np.concatenate(parts, axis=1)
-    v = np.concatenate(speeds)
-    a = np.concatenate([smoothed(part[0], width, 2) / step**2 for part in parts])
+    v, a = (
+        np.concatenate([smoothed(part[0], width, order) for part in parts]) / step**order
+        for order in (1, 2)
+    )
     fast = float(np.quantile(np.abs(v), 0.99))
     slow = 0.05 * fast if rig.body.slow_m_s is None else rig.body.slow_m_s
     moving = np.abs(v) > slow
-    reach = int(np.ceil(RADIUS * width))
-    places = [(np.arange(part.shape[1]), part.shape[1]) for part in parts]
-    judged = moving & np.concatenate([(k >= reach) & (k < n - reach) for k, n in places])
-    # where the filter mixes rest and motion, friction is not what the speed says
-    away = judged & ~binary_dilation(
-        ~moving | _turning(speeds), iterations=int(np.ceil(2.0 * width))
-    )
+    judged = moving & away_from_ends(starts, len(x), int(np.ceil(RADIUS * width)))
+    # A quick turn passes all that is slow between two samples: force and acceleration have steps and
+    # pulses there that single samples do not show. Near rest and turns friction is not what the speed says
+    turns = np.append(v[1:] * v[:-1] < 0.0, False)
+    turns[starts[1:] - 1] = False
+    mixed = ~moving | turns | np.roll(turns, 1)
+    away = judged & ~binary_dilation(mixed, iterations=int(np.ceil(2.0 * width)))
     if 3 * np.count_nonzero(away) > np.count_nonzero(judged):
         judged = away
     if np.count_nonzero(judged) < 0.5 * FEWEST_SAMPLES:
@@ -312,7 +312,6 @@ def _judged(
     # filtered samples next to each other say the same
     stride = max(1, int(0.6 * width))
     judged &= np.arange(len(judged)) % stride == 0
-    starts = np.concatenate([np.arange(part.shape[1]) == 0 for part in parts])
     stroke = _strokes(v, moving, starts)
     kept = np.unique(stroke[judged])
     held_out = "strokes" if len(kept) >= FEWEST_STROKES else "blocks of time"
@@ -328,12 +327,12 @@ def _judged(
         rig.name,
         raw,
         recorded_n,
-        np.flatnonzero(starts),
+        starts,
         judged,
         stroke,
         width,
         step,
-        *_joint_noise(noise, np.add.reduceat(judged.astype(int), np.flatnonzero(starts)).tolist()),
+        *_joint_noise(noise, np.add.reduceat(judged.astype(int), starts).tolist()),
         held_out,
         rig.body,
         ROTARY if rotary else {},
@@ -351,25 +350,21 @@ def _joint_noise(
     return float(force_sd), float(position_sd)
 
 
-def _turning(speeds: Sequence[Floats]) -> NDArray[np.bool_]:
-    """Return which samples a turn lies next to, from the speeds of parts [n] in m/s.
-
-    A quick one passes all that is slow between two samples. Force and acceleration have steps and
-    pulses there that single samples do not show.
-    """
-    flags = []
-    for v in speeds:
-        turns = v[1:] * v[:-1] < 0.0
-        flags.append(np.append(turns, False) | np.append(False, turns))
-    return np.concatenate(flags)
+def away_from_ends(starts: NDArray[np.int64], count: int, reach: int) -> NDArray[np.bool_]:
+    """Return which of `count` samples [n] are `reach` samples from both ends of their part."""
+    rows = np.arange(count)
+    ends = np.append(starts[1:], count)
+    part = np.searchsorted(starts, rows, side="right") - 1
+    return np.asarray((rows >= starts[part] + reach) & (rows < ends[part] - reach))
 
 
-def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the number of the stroke of every sample: a new one where the motion turns."""
-    rows = np.flatnonzero(moving | starts)
+    is_start = np.isin(np.arange(len(v)), starts)
+    rows = np.flatnonzero(moving | is_start)
     turned = np.zeros(len(v), dtype=np.int64)
     sign = np.sign(v[rows])
-    turned[rows[1:]] = (sign[1:] != sign[:-1]) | starts[rows[1:]]
+    turned[rows[1:]] = (sign[1:] != sign[:-1]) | is_start[rows[1:]]
     return np.cumsum(turned)
 
 

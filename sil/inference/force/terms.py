@@ -36,43 +36,6 @@ def _pressure(motion: Motion) -> Floats:
     return np.zeros(0) if motion.pressure_pa is None else motion.pressure_pa
 
 
-STIFFNESS = ForceTerm(
-    "stiffness_n_m",
-    "N/m",
-    "a spring, or enclosed gas, whose dead volume and exponent cannot be separated",
-    lambda m, _s: centred(m),
-)
-CUBIC = ForceTerm(
-    "cubic_n_m3",
-    "N/m^3",
-    "a spring whose rate changes with deflection",
-    lambda m, _s: centred(m) ** 3,
-    sign=0,
-)
-DRAG = ForceTerm(
-    "drag_n_s2_m2",
-    "N s^2/m^2",
-    "resistance grows with the square of speed",
-    lambda m, _s: m.speed_m_s * np.abs(m.speed_m_s),
-)
-GAIN = ForceTerm(
-    "area_m2",
-    "m^2",
-    "force in proportion to pressure: error of area or gauge",
-    lambda m, _s: _pressure(m),
-    sign=0,
-    needs_pressure=True,
-)
-CHANGING_AREA = ForceTerm(
-    "area_per_m_m",
-    "m",
-    "an effective area that changes with position",
-    lambda m, _s: _pressure(m) * centred(m),
-    sign=0,
-    needs_pressure=True,
-)
-
-
 def terms() -> dict[str, Term]:
     """Return the candidates by name: effects of the catalogue and physics beyond it."""
     effects = {
@@ -81,11 +44,61 @@ def terms() -> dict[str, Term]:
         if item.force is not None
     }
     return effects | {
-        "stiffness": Term("stiffness", "mechanics", STIFFNESS),
-        "stiffness_cubic": Term("stiffness_cubic", "mechanics", CUBIC),
-        "quadratic_drag": Term("quadratic_drag", "friction", DRAG),
-        "pressure_gain": Term("pressure_gain", "gauge", GAIN),
-        "pressure times position": Term(UNNAMED, "geometry", CHANGING_AREA),
+        "stiffness": Term(
+            "stiffness",
+            "mechanics",
+            ForceTerm(
+                "stiffness_n_m",
+                "N/m",
+                "a spring, or enclosed gas, whose dead volume and exponent cannot be separated",
+                lambda m, _s: centred(m),
+            ),
+        ),
+        "stiffness_cubic": Term(
+            "stiffness_cubic",
+            "mechanics",
+            ForceTerm(
+                "cubic_n_m3",
+                "N/m^3",
+                "a spring whose rate changes with deflection",
+                lambda m, _s: centred(m) ** 3,
+                sign=0,
+            ),
+        ),
+        "quadratic_drag": Term(
+            "quadratic_drag",
+            "friction",
+            ForceTerm(
+                "drag_n_s2_m2",
+                "N s^2/m^2",
+                "resistance grows with the square of speed",
+                lambda m, _s: m.speed_m_s * np.abs(m.speed_m_s),
+            ),
+        ),
+        "pressure_gain": Term(
+            "pressure_gain",
+            "gauge",
+            ForceTerm(
+                "area_m2",
+                "m^2",
+                "force in proportion to pressure: error of area or gauge",
+                lambda m, _s: _pressure(m),
+                sign=0,
+                needs_pressure=True,
+            ),
+        ),
+        "pressure times position": Term(
+            UNNAMED,
+            "geometry",
+            ForceTerm(
+                "area_per_m_m",
+                "m",
+                "an effective area that changes with position",
+                lambda m, _s: _pressure(m) * centred(m),
+                sign=0,
+                needs_pressure=True,
+            ),
+        ),
     }
 
 

@@ -64,10 +64,10 @@ class Identified:
         )
 
 
-def model_of(found: Identified, parameters: ParameterSet) -> str:
+def model_of(result: Identified, parameters: ParameterSet) -> str:
     """Return the identified values as a model file that extends the set they were found with."""
     sections: dict[str, dict[str, Parameter]] = {}
-    for item in found.estimates:
+    for item in result.estimates:
         section, key = item.path.split(".", 1)
         numbers = tuple(map(_rounded, item.numbers))
         low = high = None
@@ -80,7 +80,7 @@ def model_of(found: Identified, parameters: ParameterSet) -> str:
             low,
             high,
         )
-    return model_file(found.judgement, parameters.name, sections)
+    return model_file(result.judgement, parameters.name, sections)
 
 
 def _rounded(value: float) -> float:

@@ -55,40 +55,38 @@ class RestRecord:
 
 def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
     """Return all stretches of the campaign in which a chamber's volume and valve do not move."""
-    found = []
+    stretches = []
     for entry in campaign.strokes:
-        record = campaign.record(entry)
+        record, conditions = campaign.record(entry), entry.conditions
         if "position_m" not in record:
             continue
-        conditions = entry.conditions
         setup = make_setup(parameters, conditions)
         time_s = record.time_s - record.time_s[0]
         position = record["position_m"]
-        tail = np.median(position[-max(3, len(position) // 50) :])
+        tail = float(np.median(position[-max(3, len(position) // 50) :]))
         away = np.flatnonzero(np.abs(position - tail) > 1.5e-4)
         begin = time_s[away[-1]] + SETTLE_S if len(away) else time_s[0]
         moves = valve_moves(setup, int(time_s[-1] * 1e9))
         for index, chamber in enumerate(conditions.chambers):
             column = f"pressure_{chamber}_pa"
-            volume = _resting_volume(conditions.kind, chamber, float(tail), setup.p)
+            volume = _resting_volume(conditions.kind, chamber, tail, setup.p)
             if column not in record or volume is None:
                 continue
-            own = [(t * 1e-9, bool(u)) for t, which, u, _s in moves if which == index]
-            edges = [0.0, *(t for t, _u in own), float(time_s[-1])]
-            states = [chamber in conditions.charged_before, *(u for _t, u in own)]
+            switches = [(t * 1e-9, bool(u)) for t, which, u, _s in moves if which == index]
+            edges = [0.0, *(t for t, _u in switches), float(time_s[-1])]
+            states = [chamber in conditions.charged_before, *(u for _t, u in switches)]
             for start, end, charging in zip(edges, edges[1:], states, strict=False):
                 inside = (time_s >= max(start + SETTLE_S, begin)) & (time_s <= end - 1e-4)
                 if charging and conditions.kind != "fixed":
                     inside &= time_s > _loose_until(record, time_s, chamber, inside) + WALK_S
                 pressure = record[column][inside]
-                if len(pressure) < 60 or np.ptp(pressure) < 0.3e5:
-                    continue
-                name = f"{entry.file} {chamber} {'filling' if charging else 'emptying'}"
-                supply_pa = conditions.supply_pressure_pa
-                found.append(
-                    RestRecord(name, time_s[inside], pressure, volume, charging, supply_pa)
-                )
-    return found
+                if len(pressure) >= 60 and np.ptp(pressure) >= 0.3e5:
+                    name = f"{entry.file} {chamber} {'filling' if charging else 'emptying'}"
+                    supply_pa = conditions.supply_pressure_pa
+                    stretches.append(
+                        RestRecord(name, time_s[inside], pressure, volume, charging, supply_pa)
+                    )
+    return stretches
 
 
 def _loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[np.bool_]) -> float:
@@ -201,11 +199,11 @@ def _best_degrees(
     x: Floats, y: Floats, split: float, near_most: int, far_most: int
 ) -> tuple[Polynomial, Polynomial]:
     """Return the polynomials with the least error on every third point, padded to the most degrees."""
-    held = np.arange(len(x)) % 3 == 0
+    third = np.arange(len(x)) % 3 == 0
     best, degrees = np.inf, (2, 1)
     for near, far in itertools.product(range(2, near_most + 1), range(1, far_most + 1)):
-        pair = two_polynomials(x[~held], y[~held], split, near, far)
-        mse = float(np.mean((_evaluate(x[held], split, *pair) - y[held]) ** 2))
+        pair = two_polynomials(x[~third], y[~third], split, near, far)
+        mse = float(np.mean((_evaluate(x[third], split, *pair) - y[third]) ** 2))
         if mse < 0.995 * best:
             best, degrees = mse, (near, far)
     a, b = two_polynomials(x, y, split, *degrees)
@@ -232,13 +230,14 @@ def identify_flow(
     stacks: list[Stack] = []
     for number, charging in enumerate(DIRECTIONS):
         progress(number, 2)
-        own, note, stack = _identify_direction(charging, records, campaign, parameters)
-        estimates += own
+        pair, note, stack = _identify_direction(charging, records, campaign, parameters)
+        estimates += pair
         notes.append(note)
         stacks.append(stack)
-    found = parameters.override({item.path: list(item.numbers) for item in estimates})
-    notes += _checks(records, found, campaign)
-    over_noise = float(np.sqrt(np.mean([_rate_misfit(r, found, campaign) for r in records])))
+    identified = parameters.override({item.path: list(item.numbers) for item in estimates})
+    notes += _checks(records, identified, campaign)
+    misfits = [_rate_misfit(record, identified, campaign) for record in records]
+    over_noise = float(np.sqrt(np.mean(misfits)))
     return Identified("flow", tuple(estimates), tuple(notes), Figure(stacks), over_noise)
 
 
@@ -292,7 +291,7 @@ def _identify_direction(
     return estimates, note, Stack(axis, [panel], f"Flow, {word}", width=6.4)
 
 
-def _checks(records: list[RestRecord], found: ParameterSet, campaign: Campaign) -> list[str]:
+def _checks(records: list[RestRecord], model: ParameterSet, campaign: Campaign) -> list[str]:
     """Predict the records of the largest volumes, which were not fitted, with the identified map."""
     lines = []
     for charging in DIRECTIONS:
@@ -300,7 +299,7 @@ def _checks(records: list[RestRecord], found: ParameterSet, campaign: Campaign) 
         volumes = [r.volume_m3 for r in chosen]
         for record in chosen:
             if record.volume_m3 >= 0.8 * max(volumes):
-                error = _predict(record, found, campaign) - record.pressure_pa
+                error = _predict(record, model, campaign) - record.pressure_pa
                 lines.append(
                     f"check {record.name}: {record.volume_m3 / min(volumes):.1f} times the smallest "
                     f"volume, rms {np.sqrt(np.mean(error**2)):.0f} Pa"

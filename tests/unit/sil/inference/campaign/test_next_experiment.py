@@ -21,10 +21,10 @@ from sil.inference.campaign.next_experiment import (
     MOST,
     Hypothesis,
     Question,
-    Separation,
+    added,
+    distances_of,
     healthy_with,
     information,
-    next_campaign,
     next_experiment,
     separation_by,
 )
@@ -63,16 +63,15 @@ def test_evidence_of_strokes_together_is_that_of_one_fit_to_all_of_them() -> Non
     rng = np.random.default_rng(5)
     prior = np.diag(rng.uniform(1.0, 3.0, 2))
     strokes = [(rng.normal(size=6), rng.normal(size=(6, 2))) for _ in range(3)]
-    separation = Separation({(0, 1): 0.0}, {(0, 1): np.zeros(2)}, {(0, 1): prior})
+    sums = {(0, 1): np.pad(prior, (0, 1))}
     for r, j in strokes:
-        separation = separation.plus(
-            Separation({(0, 1): r @ r}, {(0, 1): j.T @ r}, {(0, 1): j.T @ j})
-        )
+        rows = np.column_stack([j, r])
+        sums = added(sums, {(0, 1): rows.T @ rows})
     root = np.sqrt(prior)
     j = np.vstack([*(j for _r, j in strokes), root])
     r = np.concatenate([*(r for r, _j in strokes), np.zeros(2)])
     left = r - j @ np.linalg.lstsq(j, r, rcond=None)[0]
-    assert separation.distances()[0, 1] == pytest.approx(0.5 * left @ left)
+    assert distances_of(sums)[0, 1] == pytest.approx(0.5 * left @ left)
 
 
 def test_a_cause_that_a_tolerance_imitates_tells_less_than_one_that_none_does(clean_model) -> None:
@@ -81,14 +80,13 @@ def test_a_cause_that_a_tolerance_imitates_tells_less_than_one_that_none_does(cl
     causes = {item.name: item for item in available(clean_model.strokes)}
 
     def distance(name: str) -> float:
-        prior = np.eye(len(healthy.shared))
+        start = {(1, 0): np.pad(np.eye(len(healthy.shared)), (0, 1))}
         both = [healthy, healthy_with(healthy, causes[name], 0.25)]
         asked = [Question((1, 0), np.array([0.5, 0.5]), ((1, 0),))]
         model = CampaignModel(clean_model.strokes, clean_model.spread)
         separation = separation_by(Fitter(model), 0, both, asked)
         assert separation is not None
-        start = Separation({(1, 0): 0.0}, {(1, 0): np.zeros(len(prior))}, {(1, 0): prior})
-        return start.plus(separation).distances()[1, 0]
+        return distances_of(added(start, separation))[1, 0]
 
     delay, leak = distance("valve_open_delay"), distance("piston_leak")
     # 0.45 ms is what a tolerance of 0.3 ms and scatter of 0.2 ms make: some two in squared deviations
@@ -176,12 +174,10 @@ def test_causes_that_one_supply_hides_ask_for_another_one(tmp_path) -> None:
     again = next_experiment(model, load(), campaign, verdict, [healthy], asked, workers=2)
     assert again is not None and again.as_json() == found.as_json()
 
-    following = next_campaign(
-        replace(campaign, recorder=Recorder({"time_s": ColumnMap("t [ms]", 1e-3)})), found
-    )
+    following = replace(campaign, recorder=Recorder({"time_s": ColumnMap("t [ms]", 1e-3)}))
     folder = tmp_path / "next"
     folder.mkdir()
-    text = campaign_toml(following, following.strokes)
+    text = campaign_toml(following, found.entries)
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     read = load_campaign(folder)
     assert [entry.label for entry in read.strokes] == [p.entry.label for p in found.strokes]

@@ -11,7 +11,7 @@ from can_dbc.errors import InputError
 from sil.cli import main
 from sil.inference.force.checks import odd_channels
 from sil.inference.force.choice import acceptable, has_one_value
-from sil.inference.force.fit import Bank, gain_in_errors
+from sil.inference.force.fit import Bank, gain_in_errors, jackknife
 from sil.inference.force.record import read_motion, smoothed
 from sil.inference.force.rig import diagnose_force
 from tests.unit.sil.inference.made_rig import HEAD, changed, rig, written
@@ -81,14 +81,12 @@ def test_a_combination_of_parameters_is_surer_than_its_parts(tmp_path) -> None:
     # Coulomb and viscous friction move against each other; the power that they take hardly varies
     bank = Bank(read_motion(rig(tmp_path / "a", per_pa=3e-5)))
     plain = bank.attempt(())
-    parts = np.diag([0.2, 0.05, 0.0, 0.0])
-    alone = [bank.free_combination(weights, ()) for weights in parts]
-    for k, (value, deviation) in enumerate(alone):
-        assert value == pytest.approx(parts[k, k] * plain.values[k])
-        assert deviation == pytest.approx(parts[k, k] * plain.deviations[k])
-    power, spread = bank.free_combination(parts.sum(axis=0), ())
-    assert power == pytest.approx(sum(value for value, _deviation in alone))
-    assert spread < 0.7 * sum(deviation for _value, deviation in alone)
+    values, without = bank.unbounded(())
+    assert values == pytest.approx(plain.values)
+    assert jackknife(without - values) == pytest.approx(plain.deviations)
+    parts = np.array([0.2, 0.05, 0.0, 0.0])
+    together = jackknife((without - values) @ parts)
+    assert together < 0.7 * np.sum(parts * plain.deviations)
 
 
 def test_a_hole_in_the_force_is_refused(tmp_path) -> None:
