@@ -15,7 +15,8 @@ from plant.errors import InputError
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup, simulate
-from tests.physics.test_cylinder import P_ATM, SUPPLY, model
+from tests.physics.test_cylinder import P_ATM, SUPPLY
+from tests.support.cylinder_model import model
 
 SPOOL = {
     "valve_frequency": (40.0, "Hz"),
