@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: strokes with their residuals, misfit by channel and phase, terms.
+"""Figures of a diagnosis: strokes with their residuals, terms, the next stroke.
 
 Checked by: tests/unit/sil/inference/test_diagnose.py
 """
@@ -6,20 +6,17 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import inf, isfinite, log10
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sil.inference.campaign.model import channel_parts
-from sil.inference.campaign.phases import PHASES
-from sil.inference.campaign.residuals import Shown
 from sil.report.figure import (
     BAR,
     MM,
     MS,
     Band,
-    ColourScale,
     Figure,
     Panel,
     Rule,
@@ -36,9 +33,6 @@ if TYPE_CHECKING:
     from sil.inference.report import Interval
 BEFORE, AFTER = "healthy model", "extended model"
 UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
-RMS = ColourScale(
-    "log10 of the rms", -0.05, 1.5, ("#fff7ec", "#fdd49e", "#fc8d59", "#d7301f", "#7f0000")
-)
 
 
 def worst(result: Diagnosis) -> list[int]:
@@ -91,29 +85,6 @@ def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
         yield Panel(title_of(channel), unit, lines, height=120, legend=n == 0)
         band = Span(-inf, inf, "grid", "", -3.0, 3.0)
         yield Panel("residual / sd", "", residuals, spans=[band], height=80, legend=False)
-
-
-def phases_figure(before: Shown, after: Shown) -> Figure:
-    """Return the misfit by channel and phase of both models."""
-    channels = list(before.by_phase)
-    names = [phase for phase in PHASES if any(phase in row for row in before.by_phase.values())]
-    ticks = [(float(j), name) for j, name in enumerate(names)]
-    stacks = []
-    for shown, title in ((before, BEFORE), (after, AFTER)):
-        spans = [
-            Span(j - 0.5, j + 0.5, RMS.colour(log10(max(v, 0.5))), f"{v:.3g}", i - 0.5, i + 0.5)
-            for i, channel in enumerate(channels)
-            for j, phase in enumerate(names)
-            if isfinite(v := shown.by_phase.get(channel, {}).get(phase, np.nan))
-        ]
-        rows = [(float(i), name) for i, name in enumerate(channels)]
-        limits = (len(channels) - 0.5, -0.5)
-        height = 60 + 34 * len(channels)
-        panel = Panel(
-            "rms over its expected scatter", spans=spans, ticks=rows, limits=limits, height=height
-        )
-        stacks.append(Stack("phase", [panel], title, ticks=ticks, width=6.5))
-    return Figure(stacks)
 
 
 def term_figure(form: TermForm, nodes: Sequence[Interval]) -> Figure:

@@ -15,13 +15,8 @@ from sil.campaign.campaign import campaign_toml
 from sil.files.atomic import write_atomically
 from sil.files.quantity import noun
 from sil.inference.campaign.diagnosis import FALSE_ALARM_BASIS, Diagnosis
-from sil.inference.campaign.figures import (
-    next_figure,
-    phases_figure,
-    strokes_figure,
-    term_figure,
-)
-from sil.inference.campaign.residuals import show
+from sil.inference.campaign.figures import next_figure, strokes_figure, term_figure
+from sil.inference.campaign.residuals import relative_errors
 from sil.inference.campaign.terms import form_of
 from sil.inference.refused import Tried
 from sil.inference.report import FALSE_ALARM_LEVEL, Cause
@@ -37,11 +32,6 @@ PICTURES = {
         "The strokes that the given model fits worst among those {where}. Grey: measured. Orange: "
         "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
         "residuals over their expected scatter; the band is three standard deviations.",
-    ),
-    "phases": (
-        "Standardised residuals by channel and phase",
-        "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
-        "stroke: the healthy model, and the extended one.",
     ),
     "next": (
         "The stroke that tells most",
@@ -78,9 +68,9 @@ def write_report(
     """
     stamps = dict.fromkeys(loaded_effects().values())
     files = "".join(f" --effects {stamp.partition(MARK)[0]}" for stamp in stamps)
-    before, after = show(result.model, result.healthy), show(result.model, result.final)
+    before, after = (relative_errors(result.model, f) for f in (result.healthy, result.final))
     strokes = strokes_figure(result)
-    figures = {"strokes": strokes, "phases": phases_figure(before, after)}
+    figures = {"strokes": strokes}
     terms = {c.name: c for c in result.final.candidates if c.is_term}
     for cause in result.causes:
         candidate = terms.get(f"{cause.id}:{cause.variant}")
@@ -122,7 +112,10 @@ def write_report(
     write_atomically(folder / "report.html", page)
     return {
         "explanations": [_explanation(item, result) for item in result.judged],
-        "residuals": {"before": asdict(before), "after": asdict(after)},
+        "relative_errors": {
+            name: {"before": asdict(before[name]), "after": asdict(error)}
+            for name, error in after.items()
+        },
     }
 
 
