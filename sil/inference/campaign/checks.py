@@ -16,6 +16,7 @@ from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
+from sil.campaign.units import UNITS
 from sil.files.quantity import counted
 from sil.inference.campaign.model import CampaignModel, channel_parts
 from sil.inference.campaign.noise import estimated_noise
@@ -148,7 +149,7 @@ def _check_position(entry: CampaignStroke, record: Record, parameters: Parameter
     if largest > 2.0 * stroke:
         raise InputError(
             f"{path}: position_m: reaches {largest:.4g}; expected metres, at most "
-            f"{1.2 * stroke:.4g} m{_unit_hint(largest / stroke, 'length')}"
+            f"{1.2 * stroke:.4g} m{_unit_hint(largest / stroke, 'position_m')}"
         )
     if moved < 0.02 * stroke and len(np.unique(values)) < 3:
         gauges = [c for c in record.columns if c.startswith("pressure_")]
@@ -178,12 +179,12 @@ def _check_pressure(
     if high < 0.02 * atmosphere:
         raise InputError(
             f"{where}: at most {high:.4g}; expected pascals, absolute "
-            f"(about {atmosphere:.4g} at rest){_unit_hint(high / supply, 'pressure')}"
+            f"(about {atmosphere:.4g} at rest){_unit_hint(high / supply, 'pressure_pa')}"
         )
     if not oil and high > 2.0 * max(supply, atmosphere):
         raise InputError(
             f"{where}: reaches {high:.4g} Pa; expected at most the supply's "
-            f"{supply:.4g} Pa{_unit_hint(high / supply, 'pressure')}"
+            f"{supply:.4g} Pa{_unit_hint(high / supply, 'pressure_pa')}"
         )
     if low < 0.5 * atmosphere and not oil:
         raise InputError(
@@ -209,27 +210,13 @@ def _check_pressure(
     return []
 
 
-def _unit_hint(ratio: float, quantity: str) -> str:
-    """Return which unit a length or pressure off by this factor was probably written in."""
+def _unit_hint(ratio: float, column: str) -> str:
+    """Return which unit a value off by this factor was probably written in; column: a key of UNITS."""
     if ratio <= 0.0:
         return ""
-    units = {
-        "length": (
-            (1e3, "millimetres"),
-            (1e2, "centimetres"),
-            (39.37, "inches"),
-            (1e6, "micrometres"),
-        ),
-        "pressure": (
-            (1e-5, "bar"),
-            (1e-3, "kilopascals"),
-            (1e-6, "megapascals"),
-            (1.45e-4, "psi"),
-            (1e3, "millipascals, or a scale too large by 1000"),
-        ),
-    }[quantity]
-    factor, unit = min(units, key=lambda item: abs(np.log(ratio / item[0])))
-    return f" (in {unit}?)" if abs(np.log(ratio / factor)) < 1.1 else ""
+    apart = {unit: abs(np.log(ratio * scale)) for unit, scale in UNITS[column].items()}
+    unit = min(apart, key=lambda name: apart[name])
+    return f" (in {unit}?)" if apart[unit] < 1.1 and UNITS[column][unit] != 1.0 else ""
 
 
 # --- measured against predicted ---------------------------------------------------------------
