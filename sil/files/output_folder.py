@@ -21,15 +21,8 @@ RESULT = "result.json"
 RUN_FILES = frozenset(
     (
         *(RESULT, "trace.csv", "bus.log", "report.html", "shift.png", "shift.svg", "events.jsonl"),
-        *("scenario.json", "plant.trace", "bus.frames", "diff.json", "diff.txt"),
-        *(
-            "INCOMPLETE",
-            "results.csv",
-            "study.json",
-            "summary.json",
-            "fault_table.md",
-            "sensitivity.md",
-        ),
+        *("scenario.json", "plant.trace", "bus.frames", "diff.json", "diff.txt", "INCOMPLETE"),
+        *("results.csv", "study.json", "summary.json", "fault_table.md", "sensitivity.md"),
         *("diagnosis.json", "extended_model.toml", "model.toml", "compare.json"),
         *("swarm.jsonl", "swarm.json"),
     )

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from cantools.database.can import Message
 
 COLUMNS: Final = ("time_s", "channel", "message", "source", "signal", "value", "unit", "text")
-_SHOWN: Final = 5
 
 
 class Decoded(NamedTuple):
@@ -98,8 +97,8 @@ class DecodeReport:
             names = ", ".join(f"{name} ({n})" for name, n in self.unavailable.most_common())
             lines.append(f"not available, left out: {self.unavailable.total()} values: {names}")
         if self.unknown:
-            shown = ", ".join(f"{name} ({n})" for name, n in self.unknown.most_common(_SHOWN))
-            more = ", ..." if len(self.unknown) > _SHOWN else ""
+            shown = ", ".join(f"{name} ({n})" for name, n in self.unknown.most_common(5))
+            more = ", ..." if len(self.unknown) > 5 else ""
             lines.append(
                 f"not in {self.database}: {self.unknown.total()} frames of {len(self.unknown)} "
                 f"identifiers: {shown}{more}"
@@ -145,8 +144,8 @@ class Decoder:
             message = self._groups.get(pgn)
         if message is None:
             name = f"{frame.can_id:0{8 if frame.extended else 3}X}" if pgn is None else f"PGN {pgn}"
-            known = len(self._report.unknown) < 100_000 or name in self._report.unknown
-            self._report.unknown[name if known else "others"] += 1
+            room = len(self._report.unknown) < 100_000 or name in self._report.unknown
+            self._report.unknown[name if room else "others"] += 1
             return None
         return self._signals(message, frame, source, data)
 
@@ -269,7 +268,7 @@ class _Mf4:
             name, source, channel = key
             title = name + ("" if source is None else f" of {source:#04x}")
             title += f" on {channel}" if channel else ""
-            made = [
+            signals = [
                 self._asammdf.Signal(
                     column,
                     times_s,
@@ -280,7 +279,7 @@ class _Mf4:
                 for f, column in zip(fields, columns, strict=True)
             ]
             self._groups[key] = len(self._groups)
-            self.measurement.append(made, acq_name=title, comment=title, common_timebase=True)
+            self.measurement.append(signals, acq_name=title, comment=title, common_timebase=True)
 
 
 _TABLES: Final = {".csv": _csv, ".mf4": _mf4, ".parquet": _parquet}

@@ -98,19 +98,19 @@ class SignalMapping:
         self.is_standard = path is None and dbc is None
         file = typed_toml.convert(typed_toml.read_toml(path or SHIPPED), _File, self.path)
         self.rows, self.gearbox = file.signal, file.gearbox
-        known = {message.name: message for message in load_dbc(dbc or LAYOUT).messages}
+        messages = {message.name: message for message in load_dbc(dbc or LAYOUT).messages}
         self._messages: dict[str, Message] = {}
         self._signals: list[Signal] = []
         for index, row in enumerate(self.rows):
-            self._bind(row, f"{self.path}: signal[{index}]", known)
+            self._bind(row, f"{self.path}: signal[{index}]", messages)
 
-    def _bind(self, row: MappedSignal, where: str, known: dict[str, Message]) -> None:
-        if row.message not in known:
+    def _bind(self, row: MappedSignal, where: str, messages: dict[str, Message]) -> None:
+        if row.message not in messages:
             name = typed_toml.one_line(row.message, 60)
             raise InputError(
-                f"{where}.message: {name!r} is {unknown_name(row.message, known)} (of {self.dbc})"
+                f"{where}.message: {name!r} is {unknown_name(row.message, messages)} (of {self.dbc})"
             )
-        message = known[row.message]
+        message = messages[row.message]
         signals = {signal.name: signal for signal in message.signals}
         if row.signal not in signals:
             name = typed_toml.one_line(row.signal, 60)
@@ -138,10 +138,10 @@ class SignalMapping:
 
     def identifier(self, message: str) -> str:
         """Return the parameter group or identifier by which a mapped message is found."""
-        found = self._messages[message]
-        if found.is_extended_frame:
-            return f"PGN {split_id(found.frame_id).pgn}"
-        return f"identifier {found.frame_id:03X}"
+        layout = self._messages[message]
+        if layout.is_extended_frame:
+            return f"PGN {split_id(layout.frame_id).pgn}"
+        return f"identifier {layout.frame_id:03X}"
 
     def sender(self, channel: str, can_id: int, extended: bool) -> Sender | None:
         """Return which mapped message the frames of an identifier are, and whose; None for others."""
@@ -162,7 +162,7 @@ class SignalMapping:
         """Return the valid values of a message, by the index of their row."""
         message = self._messages[sender.message]
         raw: Any = message.decode(data, decode_choices=False, scaling=False, allow_truncated=True)
-        found: dict[int, float] = {}
+        values: dict[int, float] = {}
         for index, (row, signal) in enumerate(zip(self.rows, self._signals, strict=True)):
             if row.message != sender.message or signal.name not in raw:
                 continue
@@ -170,8 +170,8 @@ class SignalMapping:
                 continue
             value = _physical(signal, raw[signal.name], message.is_extended_frame)
             if value is not None:
-                found[index] = row.scale * value + row.offset
-        return found
+                values[index] = row.scale * value + row.offset
+        return values
 
 
 def _physical(signal: Signal, raw: float, is_j1939: bool) -> float | None:

@@ -250,8 +250,12 @@ class Comparison:
         names: list[str] = []
         estimates: list[float | None] = []
         for side in (RECORDED, REPLAYED):
-            held = self._held[side]
-            blow, etc1, status = held.get(SafetyBlow), held.get(Etc1), held.get(ControllerStatus)
+            latest = self._held[side]
+            blow, etc1, status = (
+                latest.get(SafetyBlow),
+                latest.get(Etc1),
+                latest.get(ControllerStatus),
+            )
             on = (
                 *(self._valve_on(side, chamber) for chamber in CHAMBERS),
                 blow is not None and bool(blow[1]),

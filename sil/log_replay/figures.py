@@ -14,7 +14,6 @@ from sil.log_replay.truck_loop import OurShift
 from sil.log_replay.truck_replay import (
     ComparedShift,
     TruckReplay,
-    columns_of,
     side_figures,
     truck_verdict,
 )
@@ -24,8 +23,6 @@ from sil.shifts.cutter import Shift, gear_name
 from sil.shifts.engine import EngineTrace
 
 NS_PER_MS = 1e6
-SIDES = ((0, "estimate", 2.6), (1, "alarm", 1.2))
-"""Index, colour and line width of the recorded and of the replayed side."""
 
 
 def excerpts_figure(
@@ -76,21 +73,19 @@ def _end(times: Sequence[float]) -> float:
     return times[-1] + (times[1] - times[0] if len(times) > 1 else 10.0)
 
 
-def _over(
-    pieces: Sequence[Piece], value: Callable[[Row], float | None], gap_ms: float = 1e-3
-) -> tuple[Floats, Floats]:
+def _over(pieces: Sequence[Piece], value: Callable[[Row], float | None]) -> tuple[Floats, Floats]:
     """Return times in ms and values [n] each, held to the end of each piece, NaN between pieces."""
     times: list[float] = []
     values: list[float] = []
     for piece_times, rows in pieces:
-        if times and piece_times[0] > times[-1] + gap_ms:
-            times.append(times[-1] + gap_ms)
+        if times and piece_times[0] > times[-1] + 1e-3:
+            times.append(times[-1] + 1e-3)
             values.append(np.nan)
         elif times:  # the piece follows without a gap
             del times[-1], values[-1]
-        known = [np.nan if (v := value(row)) is None else v for row in rows]
+        piece_values = [np.nan if (v := value(row)) is None else v for row in rows]
         times += [*piece_times, _end(piece_times)]
-        values += [*known, known[-1]]
+        values += [*piece_values, piece_values[-1]]
     return np.array(times), np.array(values)
 
 
@@ -101,7 +96,7 @@ def _estimates(
     positions: Sequence[Position],
 ) -> Panel:
     lines = []
-    for side, role, width in SIDES:
+    for side, role, width in ((0, "estimate", 2.6), (1, "alarm", 1.2)):
         times, values = _over(pieces, lambda row, side=side: row.estimates_m[side])  # type: ignore[misc]
         label = f"estimate, {labels[side]}"
         lines.append(Series(label, times, MM * values, role, "stepped", width=width))
@@ -112,10 +107,10 @@ def _estimates(
         ("true position, recorded", [p.recorded_m for p in near], False),
         ("true position, plant replayed", [p.replayed_m for p in near], True),
     ):
-        known = np.isfinite(position_m)
-        if known.any():
-            y = MM * np.array(position_m)[known]
-            lines.append(Series(label, near_ms[known], y, "truth", dashed=dashed, width=1.2))
+        recorded = np.isfinite(position_m)
+        if recorded.any():
+            y = MM * np.array(position_m)[recorded]
+            lines.append(Series(label, near_ms[recorded], y, "truth", dashed=dashed, width=1.2))
     return Panel("Position", "mm", lines, height=230)
 
 
@@ -185,15 +180,17 @@ PHASE_ROLES = dict(zip(PHASES, ("INIT", "N", "HOLD", "B", "CONFIRM"), strict=Tru
 def all_shifts_figure(replay: TruckReplay) -> Figure:
     """Return the time to the new gear of every shift, by column."""
     series, spans = [], []
-    for column, name in enumerate(columns_of(replay)):
+    for column, name in enumerate(replay.columns):
         times = [
             (shift.number, side_figures(shift, column)["request to new gear"])
             for shift in replay.shifts
             if not shift.skipped
         ]
-        known = np.array([(n, t) for n, t in times if t is not None], dtype=np.float64)
-        if len(known):
-            series.append(Series(name, known[:, 0], known[:, 1], ROLES[column], "dots", width=4.0))
+        points = np.array([(n, t) for n, t in times if t is not None], dtype=np.float64)
+        if len(points):
+            series.append(
+                Series(name, points[:, 0], points[:, 1], ROLES[column], "dots", width=4.0)
+            )
     for shift in replay.shifts:
         if not shift.counts:
             spans.append(Span(shift.number - 0.4, shift.number + 0.4, "grid"))
@@ -206,7 +203,7 @@ def all_shifts_figure(replay: TruckReplay) -> Figure:
 def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:
     """Return speeds, torque, position and phases of a shift, recorded and ours."""
     recorded = shift.recorded
-    names = columns_of(replay)
+    names = replay.columns
     end_s = max([recorded.end_s, *(o.times_s["engaged"] or 0.0 for o in shift.ours)]) + 0.4
     cut = recorded.times_s["torque_cut"]
     instants = [(0.0, "request")] + ([] if cut is None else [(cut, "torque cut: our request")])

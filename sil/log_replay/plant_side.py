@@ -32,8 +32,6 @@ COMMANDS: Final = (ValveCommand, SafetyBlow)
 ENGINE_REQUEST: Final = can_id_of(Tsc1)
 """What else the plant takes, from a vehicle around it."""
 
-MOST_POSITIONS: Final = 200_000
-
 
 class Position(NamedTuple):
     """Recorded and replayed stay position at a time of the replay, m."""
@@ -162,7 +160,7 @@ class PlantSide:
             kind = OWN_IDS[frame.can_id]
             if self.closed_ns is None:
                 self._released[kind].append((release_ns, frame.data))
-            if kind is PlantMotion and len(self.positions) < MOST_POSITIONS:
+            if kind is PlantMotion and len(self.positions) < 200_000:
                 message_values = values(kind, frame.data)
                 assert message_values is not None  # our own encoding
                 self.positions.append(Position(release_ns, float("nan"), message_values[0]))

@@ -176,10 +176,10 @@ def _require_layout(path: str, kind: type, message: Any) -> None:
         where, there = f"{path}: {message.name}.{ours.name}", theirs.get(ours.name)
         if there is None:
             raise InputError(f"{where}: missing; expected as in opc4.dbc")
-        found = (there.start, there.length, there.is_signed, there.byte_order)
+        stated = (there.start, there.length, there.is_signed, there.byte_order)
         wanted = (ours.start, ours.length, ours.signed, "little_endian")
         scaled = (float(there.scale), float(there.offset))
-        if found != wanted or scaled != (float(ours.factor), float(ours.offset)):
+        if stated != wanted or scaled != (float(ours.factor), float(ours.offset)):
             raise InputError(
                 f"{where}: bits {there.start}|{there.length}, factor "
                 f"{there.scale}; expected {ours.start}|{ours.length}, {ours.factor} as in opc4.dbc"

@@ -31,8 +31,6 @@ from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
 
 ESTIMATE = "ControllerStatus.estimate_m"
-MOST_FRAMES_TRIED = 200_000
-"""Of a log that is replayed with each of the shipped settings."""
 FORGOTTEN_M = 1e-6
 """What the filter still remembers of the motion before a replay begun in the middle, at most."""
 
@@ -108,7 +106,7 @@ def replay(request: ReplayRequest) -> ReplayResult:
     alone = request.reference is None and not request.plant and not request.closed_loop
     if not (outcome.settings.assumed and outcome.differs and alone):
         return outcome
-    tried = shipped_firmware() if outcome.frames <= MOST_FRAMES_TRIED else {}
+    tried = shipped_firmware() if outcome.frames <= 200_000 else {}
     for name, path in tried.items():
         other = _replay(replace(request, firmware=path))
         if not other.differs:

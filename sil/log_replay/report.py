@@ -25,7 +25,6 @@ from sil.log_replay.truck_loop import OurShift
 from sil.log_replay.truck_replay import (
     ComparedShift,
     TruckReplay,
-    columns_of,
     quicker,
     statistics,
     truck_verdict,
@@ -58,19 +57,11 @@ def report(outcome: ReplayResult | TruckReplay) -> Report:
     """
     if isinstance(outcome, TruckReplay):
         values = truck_dict(outcome)
-        return Report(
-            truck_lines(outcome),
-            truck_text(outcome),
-            values,
-            lambda call, folder: truck_page(outcome, values, call, folder),
-        )
+        page: Callable[[str, Path], str] = partial(truck_page, outcome, values)
+        return Report(truck_lines(outcome), truck_text(outcome), values, page)
     values = as_dict(outcome)
-    return Report(
-        summary_lines(outcome),
-        text(outcome),
-        values,
-        lambda call, folder: replay_page(outcome, values, call, folder),
-    )
+    page = partial(replay_page, outcome, values)
+    return Report(summary_lines(outcome), text(outcome), values, page)
 
 
 def verdict(outcome: ReplayResult) -> str:
@@ -100,12 +91,12 @@ def attribution(outcome: ReplayResult) -> str:
     assert outcome.plant is not None
     unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
     by_default = " (as set by default: --run gives the run's own settings)"
-    known = "" if outcome.settings.own_run else by_default
+    source = "" if outcome.settings.own_run else by_default
     if plant and unit:
-        return f"both the control unit and the plant{known} differ from the recording"
+        return f"both the control unit and the plant{source} differ from the recording"
     if plant:
         return (
-            f"the control unit answers as recorded, the plant{known} does not: "
+            f"the control unit answers as recorded, the plant{source} does not: "
             "the difference is the plant's"
         )
     if unit:
@@ -469,7 +460,7 @@ def truck_lines(replay: TruckReplay) -> list[str]:
     for row in statistics(replay):
         cells = [
             f"{name} {cell['median']:.3f} ({cell['p95']:.3f})"
-            for name, cell in zip(columns_of(replay), row["columns"], strict=True)
+            for name, cell in zip(replay.columns, row["columns"], strict=True)
             if cell["shifts"]
         ]
         if cells:
@@ -503,7 +494,7 @@ def truck_dict(replay: TruckReplay) -> dict[str, Any]:
             "frames": log.frames,
             "map": log.mapping.path,
             "dbc": log.mapping.dbc,
-            "columns": columns_of(replay),
+            "columns": replay.columns,
             "changes": [variant.changes for variant in replay.variants],
             "quicker_same_slower": [quicker(replay, k) for k in range(len(replay.variants))],
             "failed": [shift.number for shift in replay.failed],

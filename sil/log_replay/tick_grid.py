@@ -35,7 +35,6 @@ from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.log_replay.recorded_frames import Arrival, counter_of, is_intact
 
-BITRATES: Final = (1_000_000, 500_000, 250_000, 125_000)
 DEFAULT_BITRATE: Final = 500_000
 HEAD_FRAMES: Final = 20_000
 """Frames from the beginning of the log that the survey looks at."""
@@ -189,7 +188,7 @@ def _bitrate(arrivals: Sequence[Arrival]) -> int | None:
             continue
         close += 1
         bits = frame_bits(after.frame.can_id, after.frame.data) + INTERMISSION_BITS
-        for bitrate in BITRATES:
+        for bitrate in (1_000_000, 500_000, 250_000, 125_000):
             if abs(gap_ns - bits * NS_PER_S // bitrate) <= 1000:
                 votes[bitrate] += 1
     if not votes:

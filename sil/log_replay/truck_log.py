@@ -47,8 +47,8 @@ class Samples:
 
     def median(self, begin_s: float, end_s: float) -> float | None:
         """Return the median of the values from begin to end, None without any."""
-        found = self.within(begin_s, end_s).values
-        return float(np.median(found)) if len(found) else None
+        values = self.within(begin_s, end_s).values
+        return float(np.median(values)) if len(values) else None
 
     @property
     def period_s(self) -> float:
@@ -80,7 +80,7 @@ class TruckLog:
         self.notes: list[str] = []
         self.report: LogReport | None = None
         self._series: dict[Sender, _Series] = {}
-        self._known: dict[tuple[str, int], dict[Meaning, float]] = {}
+        self._latest: dict[tuple[str, int], dict[Meaning, float]] = {}
         self._short = 0
         self._times: dict[Sender, NDArray[np.int64]] = {}
         self._pieces: dict[Sender, NDArray[np.int64]] = {}
@@ -110,9 +110,9 @@ class TruckLog:
         self, finder: ShiftFinder, channel: str, can_id: int, extended: bool
     ) -> list[_Taker]:
         """Return what takes the data frames of an identifier."""
-        found: list[_Taker | None] = []
+        takers: list[_Taker | None] = []
         if self.mapping.is_standard and extended:
-            found.append(finder.follow(channel, can_id))
+            takers.append(finder.follow(channel, can_id))
         sender = self.mapping.sender(channel, can_id, extended)
         if sender is not None:
             length = self.mapping.length(sender.message)
@@ -128,8 +128,8 @@ class TruckLog:
                 if translate is not None:
                     translate(frame)
 
-            found.append(take)
-        return [take for take in found if take is not None]
+            takers.append(take)
+        return [take for take in takers if take is not None]
 
     def _translator(self, sender: Sender, finder: ShiftFinder) -> _Taker:
         """Return what passes frames of another layout to the finder, as ETC1 and ETC2.
@@ -137,7 +137,7 @@ class TruckLog:
         What a frame does not carry has the sender's latest value.
         """
         rows = self.mapping.rows
-        known = self._known.setdefault((sender.channel, sender.source), {})
+        latest = self._latest.setdefault((sender.channel, sender.source), {})
         carried = {row.meaning for row in rows if row.message == sender.message}
         followed: list[tuple[_Taker, int, Callable[[dict[Meaning, float]], bytes]]] = []
         for meanings, pgn, encode in (
@@ -151,11 +151,11 @@ class TruckLog:
 
         def translate(frame: LogFrame) -> None:
             for meaning in carried:
-                known.pop(meaning, None)
+                latest.pop(meaning, None)
             for index, value in self.mapping.values(sender, frame.data).items():
-                known.setdefault(rows[index].meaning, value)
+                latest.setdefault(rows[index].meaning, value)
             for take, can_id, encode in followed:
-                take(LogFrame(frame.time_ns, can_id, encode(known), channel=frame.channel))
+                take(LogFrame(frame.time_ns, can_id, encode(latest), channel=frame.channel))
 
         return translate
 
@@ -189,13 +189,13 @@ class TruckLog:
 
     def require_shifts(self) -> None:
         """Raise InputError in one line if shaft speeds, gears or shifts are missing."""
-        held = {sender.message for sender in self._series}
+        messages = {sender.message for sender in self._series}
         missing = [
             " or ".join(f"{name} ({self.mapping.identifier(name)})" for name in names)
             or f"signal for {' and '.join(meanings)} in {self.mapping.path}"
             for meanings in (SHAFT_SPEEDS, GEARS)
             for names in (self.mapping.messages_of(*meanings),)
-            if not held.intersection(names)
+            if not messages.intersection(names)
         ]
         if missing:
             raise InputError(
@@ -223,15 +223,15 @@ class TruckLog:
             for sender in sorted(
                 senders, key=lambda s: (s.channel != shift.channel, s.source != shift.source, s)
             ):
-                found = [
+                samples = [
                     ((time_ns - origin_ns) / NS_PER_S, values[index])
                     for time_ns, content in self._window(sender, begin_ns, end_ns)
                     if index in (values := self.mapping.values(sender, content))
                 ]
-                if found:
-                    time_s, values_found = np.array(sorted(found)).T
+                if samples:
+                    time_s, sample_values = np.array(sorted(samples)).T
                     where = f"{row.message}.{row.signal} of {sender.source:#04x}"
-                    return Samples(time_s, values_found, where)
+                    return Samples(time_s, sample_values, where)
         return None
 
     def gap_s(self, shift: Shift, begin_ns: int, end_ns: int) -> float:
@@ -239,8 +239,8 @@ class TruckLog:
         names = self.mapping.messages_of(*_FLAG_AND_SPEEDS, *GEARS)
         times: set[int] = {begin_ns, end_ns}
         for sender in self._series:
-            own = (sender.channel, sender.source) == (shift.channel, shift.source)
-            if own and sender.message in names:
+            is_same = (sender.channel, sender.source) == (shift.channel, shift.source)
+            if is_same and sender.message in names:
                 times.update(time_ns for time_ns, _ in self._window(sender, begin_ns, end_ns))
         ordered = sorted(times)
         return max(b - a for a, b in pairwise(ordered)) / NS_PER_S
@@ -262,10 +262,12 @@ class TruckLog:
         ]
 
 
-def _etc1(known: dict[Meaning, float]) -> bytes:
-    flag = known.get("shift_in_process")
+def _etc1(latest: dict[Meaning, float]) -> bytes:
+    flag = latest.get("shift_in_process")
     state = int(flag) if flag in (0.0, 1.0) else 3
-    output, entry = (_word(known.get(name)) for name in ("output_shaft_rad_s", "input_shaft_rad_s"))
+    output, entry = (
+        _word(latest.get(name)) for name in ("output_shaft_rad_s", "input_shaft_rad_s")
+    )
     return bytes((0xCF | state << 4, *output, 0xFF, 0xFF, *entry, 0xFF))
 
 
@@ -274,8 +276,8 @@ def _word(speed_rad_s: float | None) -> Sequence[int]:
     return (raw if 0 <= raw <= 0xFAFF else _ETC_NOT_AVAILABLE).to_bytes(2, "little")
 
 
-def _etc2(known: dict[Meaning, float]) -> bytes:
-    selected, current = (_gear(known.get(name)) for name in ("selected_gear", "current_gear"))
+def _etc2(latest: dict[Meaning, float]) -> bytes:
+    selected, current = (_gear(latest.get(name)) for name in ("selected_gear", "current_gear"))
     return bytes((selected, 0xFF, 0xFF, current, 0xFF, 0xFF, 0xFF, 0xFF))
 
 

@@ -26,7 +26,6 @@ from sil.simulation.in_memory import Run, run_in_memory
 REQUEST_S: Final = 0.4
 """Simulated time of our request: the firmware is ready, and a request frame is due."""
 
-ALIGNED: Final = "as the gear is left"
 PULL_N, MESH_N = 100.0, 500.0
 """Forces of teeth without torque, and of meshing: those of the scenarios truck_*_easy."""
 
@@ -115,7 +114,7 @@ def _request(recorded: RecordedShift) -> Input:
         return Input(path, cut, "log", "at the recorded torque cut")
     if times["disengaged"] is not None:
         text = "torque cut not known: so that both leave the gear at the same instant"
-        return Input(path, ALIGNED, "default", text)
+        return Input(path, "as the gear is left", "default", text)
     return Input(path, 0.0, "default", "neither torque cut nor leaving the gear known: at once")
 
 
@@ -187,8 +186,8 @@ def _driveline(recorded: RecordedShift) -> list[Input]:
 def scenario_of(inputs: Sequence[Input]) -> dict[str, Any]:
     """Return the scenario of a shift with these inputs, as a table."""
     table: dict[str, Any] = {"plant": {"mounted": True}, "driveline": {}}
-    known = {entry.path: entry.value for entry in inputs}
-    for path, value in known.items():
+    values = {entry.path: entry.value for entry in inputs}
+    for path, value in values.items():
         section, _, name = path.partition(".")
         if section in table and name and not isinstance(value, str):
             table[section][name] = value
@@ -198,8 +197,8 @@ def scenario_of(inputs: Sequence[Input]) -> dict[str, Any]:
     return table | {
         "name": "shift of a truck's log",
         "duration_s": min(REQUEST_S + 2.6 + falls_s, 8.0),
-        "initial_gear": known["initial_gear"],
-        "request": [{"at_s": REQUEST_S, "gear": known["request.gear"]}],
+        "initial_gear": values["initial_gear"],
+        "request": [{"at_s": REQUEST_S, "gear": values["request.gear"]}],
         "controller": {},
     }
 
@@ -260,8 +259,8 @@ def _measured(
     confirmed = figures.confirmed_s
     times["engaged"] = None if confirmed is None else confirmed + offset_s
     back, engaged = recorded.times_s["torque_back"], recorded.times_s["engaged"]
-    known = confirmed is not None and back is not None and engaged is not None
-    times["torque_back"] = times["engaged"] + back - engaged if known else None  # type: ignore[operator]
+    all_there = confirmed is not None and back is not None and engaged is not None
+    times["torque_back"] = times["engaged"] + back - engaged if all_there else None  # type: ignore[operator]
     peak = None
     if times["disengaged"] is not None and times["synchronised"] is not None:
         peak = peak_rate(

@@ -73,6 +73,11 @@ class TruckReplay:
     notes: list[str]
 
     @property
+    def columns(self) -> list[str]:
+        """The names of the columns."""
+        return ["recorded", *(variant.name for variant in self.variants)]
+
+    @property
     def failed(self) -> list[ComparedShift]:
         """The shifts in which our firmware, by any variant, did not reach the gear."""
         return [s for s in self.shifts if not all(ours.reached for ours in s.ours)]
@@ -93,11 +98,11 @@ def replay_truck(
     Raises InputError for a log without shaft speeds, gears or shifts, and for wrong settings.
     """
     path = reader.path
-    own = None if map is not None else can_id_of(ValveCommand)
-    if any(is_data_of(frame, own) for frame in islice(reader, HEAD_FRAMES)):
+    unit_id = None if map is not None else can_id_of(ValveCommand)
+    if any(is_data_of(frame, unit_id) for frame in islice(reader, HEAD_FRAMES)):
         return None
     log = TruckLog(path, SignalMapping(map, dbc))
-    if not log.read(reader, own):
+    if not log.read(reader, unit_id):
         return None
     log.require_shifts()
     if reader.report.time_base == "none":
@@ -215,57 +220,48 @@ FIGURES: Final = {
 }
 
 
-def figures(
-    times_s: dict[str, float | None], peak: float | None, impact: float | None
-) -> dict[str, float | None]:
-    """Return the figures of one side of one shift, in the units of `FIGURES`."""
+def side_figures(shift: ComparedShift, column: int) -> dict[str, float | None]:
+    """Return the figures of a column, by their names in `FIGURES`: 0 recorded, 1 ours, 2 ours as changed."""
+    side = shift.ours[column - 1] if column else shift.recorded
 
     def between(before: str, after: str) -> float | None:
-        a, b = times_s[before], times_s[after]
+        a, b = side.times_s[before], side.times_s[after]
         return None if a is None or b is None else b - a
 
     values = (
-        times_s["engaged"],
+        side.times_s["engaged"],
         between("torque_cut", "engaged"),
         between("disengaged", "synchronised"),
-        peak,
-        impact,
+        side.peak_rad_s2,
+        side.impact_speed_m_s if isinstance(side, OurShift) else None,
     )
     return dict(zip(FIGURES, values, strict=True))
 
 
-def side_figures(shift: ComparedShift, column: int) -> dict[str, float | None]:
-    """Return the figures of a column: 0 recorded, 1 ours, 2 ours as changed."""
-    if column == 0:
-        return figures(shift.recorded.times_s, shift.recorded.peak_rad_s2, None)
-    ours = shift.ours[column - 1]
-    return figures(ours.times_s, ours.peak_rad_s2, ours.impact_speed_m_s)
-
-
 def statistics(replay: TruckReplay) -> list[dict[str, Any]]:
     """Return median and 95 % of each figure and column, over the shifts without gaps."""
-    counted = [shift for shift in replay.shifts if shift.counts]
-    found = []
+    shifts = [shift for shift in replay.shifts if shift.counts]
+    rows = []
     for name, unit in FIGURES.items():
         columns = [
-            _spread(side_figures(shift, column)[name] for shift in counted)
-            for column in range(len(replay.variants) + 1)
+            _spread(side_figures(shift, column)[name] for shift in shifts)
+            for column in range(len(replay.columns))
         ]
-        found.append({"figure": name, "unit": unit, "columns": columns})
-    return found
+        rows.append({"figure": name, "unit": unit, "columns": columns})
+    return rows
 
 
 def _spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
-    known = np.array([value for value in values if value is not None])
-    if not len(known):
+    figures = np.array([value for value in values if value is not None])
+    if not len(figures):
         return {"shifts": 0, "median": None, "p95": None}
-    median, p95 = np.percentile(known, (50, 95))
-    return {"shifts": len(known), "median": float(median), "p95": float(p95)}
+    median, p95 = np.percentile(figures, (50, 95))
+    return {"shifts": len(figures), "median": float(median), "p95": float(p95)}
 
 
 def quicker(replay: TruckReplay, column: int) -> tuple[int, int, int]:
     """Return in how many counted shifts a variant is quicker, as quick, and slower."""
-    found = [0, 0, 0]
+    counts = [0, 0, 0]
     for shift in replay.shifts:
         if not shift.counts or not shift.ours[column].reached:
             continue
@@ -273,10 +269,5 @@ def quicker(replay: TruckReplay, column: int) -> tuple[int, int, int]:
         if theirs is None or mine is None:
             continue
         within = abs(theirs - mine) <= shift.recorded.known_s["engaged"]
-        found[1 if within else 0 if mine < theirs else 2] += 1
-    return found[0], found[1], found[2]
-
-
-def columns_of(replay: TruckReplay) -> list[str]:
-    """Return the names of the columns."""
-    return ["recorded", *(variant.name for variant in replay.variants)]
+        counts[1 if within else 0 if mine < theirs else 2] += 1
+    return counts[0], counts[1], counts[2]

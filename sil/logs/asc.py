@@ -24,7 +24,7 @@ from sil.logs.times import (
     parse_decimal_ns,
     write_date,
 )
-from sil.logs.writer import RelativeWriter
+from sil.logs.writer import TextWriter
 
 _PLAIN: Final = re.compile(
     r"^(?: *(\d{1,9})\.(\d{1,9}) +(0|[1-9]\d{0,3}) +([0-9A-F]{1,8}x?) +(Rx|Tx) +d ([0-8])"
@@ -178,26 +178,11 @@ def _fd(text: str, decimal: bool) -> _Event:
     fd = fd or length > 8 or brs == "1" or esi == "1"
     if not remote and length != (DLC_LENGTHS[code] if fd else min(code, 8)):
         raise ValueError(f"length code {code_text} does not match {length} bytes")
-    frame = LogFrame(
-        *(
-            0,
-            _identifier(digits, decimal),
-            data,
-            bool(extended),
-            remote,
-            False,
-            fd,
-            brs == "1",
-            esi == "1",
-        ),
-        channel=str(int(channel)),
-        direction=direction,
-        raw_dlc=code if remote or (not fd and code > 8) else 0,
-    )
-    remark = (
-        "length codes of CANFD lines are decimal; they were read as such" if decimal_code else ""
-    )
-    return _Event(frame, len(words) > length + 3, remark)
+    can_id, raw_dlc = _identifier(digits, decimal), code if remote or (not fd and code > 8) else 0
+    kinds = bool(extended), remote, False, fd, brs == "1", esi == "1"
+    frame = LogFrame(0, can_id, data, *kinds, str(int(channel)), direction, raw_dlc)
+    remark = "length codes of CANFD lines are decimal; they were read as such"
+    return _Event(frame, len(words) > length + 3, remark if decimal_code else "")
 
 
 class AscReader(TextReader):
@@ -315,7 +300,7 @@ class AscReader(TextReader):
             self._origin_ns = self._report.further(start_ns, Location("", line=number))
 
 
-class AscWriter(RelativeWriter):
+class AscWriter(TextWriter):
     """Writes classic and CANFD lines, six decimals if whole microseconds suffice, else nine."""
 
     format = "asc"
@@ -330,7 +315,8 @@ class AscWriter(RelativeWriter):
         origin = f"// time origin {format_ns(self.start_ns, 9)} s\n"
         return f"date {date}\n{base}{origin}Begin Triggerblock {date}\n{start}"
 
-    def _text(self, frame: LogFrame, time_ns: int) -> str:
+    def _line(self, frame: LogFrame) -> str:
+        time_ns = self._since_start(frame)
         stamp = format_ns(time_ns, 9 if time_ns % 1000 else self._decimals)
         number = self.channel_number(frame.channel)
         if frame.error:

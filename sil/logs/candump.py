@@ -19,7 +19,7 @@ from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
 from sil.logs.frame import MAX_EXTENDED_ID, MAX_TIME_NS, LogFrame
 from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_S, enough_decimals, format_ns, parse_decimal_ns, utc_ns
-from sil.logs.writer import LogWriter
+from sil.logs.writer import TextWriter
 
 _ERROR_FLAG: Final = 0x20000000
 _DIRECTIONS: Final = {"": "", "R": "Rx", "T": "Tx"}
@@ -314,7 +314,7 @@ def look_like_deltas(frames: list[LogFrame]) -> bool:
     return same or 5 * falls >= len(steps)
 
 
-class CandumpWriter(LogWriter):
+class CandumpWriter(TextWriter):
     """Writes `(seconds) channel id#data`, which can-utils and python-can read.
 
     Six decimals if the log's times are whole microseconds, else nine.
@@ -326,11 +326,9 @@ class CandumpWriter(LogWriter):
         super().__init__(path)
         self._names: dict[str, str] = {}
 
-    def _begin(self, frames: list[LogFrame]) -> None:
+    def _header(self, frames: list[LogFrame]) -> str:
         self._decimals = enough_decimals(frames)
-
-    def _write_batch(self, frames: list[LogFrame]) -> None:
-        self._out.write("".join(map(self._line, frames)).encode("ascii"))
+        return ""
 
     def _line(self, frame: LogFrame) -> str:
         time_ns, can_id, data, extended, remote, error, fd, _, _, channel, direction, raw = frame

@@ -35,14 +35,11 @@ class ConvertReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
-        return {
-            "source": self.source,
-            "target": self.target,
-            "format": self.format,
-            "written": self.written,
+        names = ("source", "target", "format", "written")
+        return {name: getattr(self, name) for name in names} | {
             "losses": dict(sorted(self.losses.items())),
-            "read": self.read.as_dict() if self.read is not None else None,
-            "signals": asdict(self.signals) if self.signals is not None else None,
+            "read": self.read and self.read.as_dict(),
+            "signals": self.signals and asdict(self.signals),
         }
 
     def lines(self) -> list[str]:

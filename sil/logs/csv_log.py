@@ -18,7 +18,7 @@ from sil.logs.frame import DLC_LENGTHS, LogFrame
 from sil.logs.report import LogReport, printable
 from sil.logs.source import ByteSource, Line
 from sil.logs.times import format_ns, parse_decimal_ns
-from sil.logs.writer import LogWriter
+from sil.logs.writer import TextWriter
 
 OUR_HEADER: Final = "time_s,channel,direction,id,extended,remote,error,fd,brs,esi,dlc,data"
 _HEX_BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2})*\Z")
@@ -64,13 +64,20 @@ class Dialect(NamedTuple):
 
     columns: the field of a frame that each column holds, and how its text is read. The time comes
     first, `data` last; `length` is the number of data bytes, `dlc` the code on the wire.
-    spread: each byte of the data has a column of its own.
     """
 
     header: str
-    separator: str
     columns: tuple[Column, ...]
-    spread: bool = False
+
+    @property
+    def separator(self) -> str:
+        """What is between two columns."""
+        return ";" if ";" in self.header else ","
+
+    @property
+    def spread(self) -> bool:
+        """Whether each byte of the data has a column of its own."""
+        return self.header.endswith(",d1")
 
 
 _COLUMNS: Final[dict[str, Column]] = {
@@ -90,37 +97,25 @@ _COLUMNS: Final[dict[str, Column]] = {
 """The field of a frame that each kind of column holds, and how its text is read."""
 
 
+_CSS_HEADER: Final = "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;{}databytes"
 DIALECTS: Final = tuple(
-    Dialect(header, separator, tuple(map(_COLUMNS.__getitem__, columns.split())), spread)
-    for header, separator, columns, spread in (
+    Dialect(header, tuple(map(_COLUMNS.__getitem__, columns.split())))
+    for header, columns in (
+        (OUR_HEADER, "seconds channel direction id extended remote error fd brs esi dlc data"),
         (
-            *(OUR_HEADER, ","),
-            "seconds channel direction id extended remote error fd brs esi dlc data",
-            False,
-        ),
-        (
-            *("timestamp,arbitration_id,extended,remote,error,dlc,data", ","),
+            "timestamp,arbitration_id,extended,remote,error,dlc,data",
             "seconds id extended remote error length base64",
-            False,
         ),
         (
-            *("time stamp,id,extended,dir,bus,len,d1", ","),
+            "time stamp,id,extended,dir,bus,len,d1",
             "microseconds id extended way channel length data",
-            True,
         ),
+        ("time stamp,id,extended,bus,len,d1", "microseconds id extended channel length data"),
         (
-            *("time stamp,id,extended,bus,len,d1", ","),
-            "microseconds id extended channel length data",
-            True,
+            _CSS_HEADER.format("esi;"),
+            "seconds channel id extended dlc length is_tx fd brs esi data",
         ),
-        *(
-            (
-                f"timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;{esi}databytes",
-                *(";", f"seconds channel id extended dlc length is_tx fd brs {esi[:-1]} data"),
-                False,
-            )
-            for esi in ("esi;", "")
-        ),
+        (_CSS_HEADER.format(""), "seconds channel id extended dlc length is_tx fd brs data"),
     )
 )
 
@@ -228,28 +223,25 @@ class CsvReader(TextReader):
         )
 
 
-class CsvWriter(LogWriter):
+class CsvWriter(TextWriter):
     """Writes our own table, nine decimals."""
 
     format = "csv"
 
-    def _begin(self, frames: list[LogFrame]) -> None:
-        self._out.write((OUR_HEADER + "\n").encode("ascii"))
+    def _header(self, frames: list[LogFrame]) -> str:
+        return OUR_HEADER + "\n"
 
-    def _write_batch(self, frames: list[LogFrame]) -> None:
-        rows = []
-        for frame in frames:
-            if "," in frame.channel:
-                raise InputError(
-                    f"{self.path}: channel name {frame.channel!r} has a comma in it; expected "
-                    "another name, or another format"
-                )
-            rows.append(
-                f"{format_ns(frame.time_ns, 9)},{frame.channel},{frame.direction},"
-                f"{frame.can_id:X},{frame.extended:d},{frame.remote:d},{frame.error:d},"
-                f"{frame.fd:d},{frame.brs:d},{frame.esi:d},{frame.dlc},{frame.data.hex().upper()}\n"
+    def _line(self, frame: LogFrame) -> str:
+        if "," in frame.channel:
+            raise InputError(
+                f"{self.path}: channel name {frame.channel!r} has a comma in it; expected "
+                "another name, or another format"
             )
-        self._out.write("".join(rows).encode("ascii"))
+        return (
+            f"{format_ns(frame.time_ns, 9)},{frame.channel},{frame.direction},"
+            f"{frame.can_id:X},{frame.extended:d},{frame.remote:d},{frame.error:d},"
+            f"{frame.fd:d},{frame.brs:d},{frame.esi:d},{frame.dlc},{frame.data.hex().upper()}\n"
+        )
 
 
 def _recognise(head: bytes) -> bool:

@@ -46,13 +46,9 @@ class Location:
     """Only where several files are read as one log."""
 
     def __str__(self) -> str:
-        return f"{self.path}: {self._text()}" if self.path else self._text()
-
-    def _text(self) -> str:
-        reason = printable(self.reason)
-        if self.line is not None:
-            return f"line {self.line}: {reason}"
-        return reason if self.byte is None else f"byte {self.byte}: {reason}"
+        line = None if self.line is None else f"line {self.line}"
+        byte = None if self.byte is None else f"byte {self.byte}"
+        return ": ".join(filter(None, (self.path, line or byte, printable(self.reason))))
 
 
 @dataclass(slots=True)

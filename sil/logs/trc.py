@@ -23,7 +23,7 @@ from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import Location
 from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, utc_ns
-from sil.logs.writer import RelativeWriter
+from sil.logs.writer import TextWriter
 
 _DAY_NS: Final = 86_400 * NS_PER_S
 _EPOCH_DAYS: Final = 25_569
@@ -230,7 +230,7 @@ def _bytes(words: list[str], length: int) -> bytes:
     return data
 
 
-class TrcWriter(RelativeWriter):
+class TrcWriter(TextWriter):
     """Writes version 2.1, times in milliseconds with three decimals as PEAK's own tools."""
 
     format = "trc"
@@ -258,7 +258,8 @@ class TrcWriter(RelativeWriter):
             ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\n"
         )
 
-    def _text(self, frame: LogFrame, time_ns: int) -> str:
+    def _line(self, frame: LogFrame) -> str:
+        time_ns = self._since_start(frame)
         self.lose(time_ns % 1000, "times rounded to the microsecond")
         whole, fraction = divmod((time_ns + 500) // 1000, 1000)
         self._number += 1

@@ -9,7 +9,6 @@ import tempfile
 from abc import ABC, abstractmethod
 from collections import Counter
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO, Self
 
 from can_dbc.errors import InputError
@@ -166,16 +165,8 @@ class LogWriter(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        (self.close if kind is None else self.abort)()
 
     def lose(self, lost: object, name: str) -> None:
         """Count a loss if there is one."""
@@ -225,20 +216,19 @@ def packer(file: BinaryIO) -> BinaryIO:
     return gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0)  # type: ignore[return-value]
 
 
-class RelativeWriter(LogWriter):
-    """Writes lines of text whose times count from the first frames of the log."""
+class TextWriter(LogWriter):
+    """Writes a line of text for each frame."""
 
     @abstractmethod
     def _header(self, frames: list[LogFrame]) -> str:
         """Return what comes before the first frames, which are given."""
 
     @abstractmethod
-    def _text(self, frame: LogFrame, time_ns: int) -> str:
-        """Return the line of a frame; `time_ns` counts from the log's start."""
+    def _line(self, frame: LogFrame) -> str:
+        """Return the line of a frame, with its end."""
 
     def _begin(self, frames: list[LogFrame]) -> None:
         self._out.write(self._header(frames).encode("ascii"))
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
-        lines = [self._text(frame, self._since_start(frame)) for frame in frames]
-        self._out.write("".join(lines).encode("ascii"))
+        self._out.write("".join(map(self._line, frames)).encode("ascii"))

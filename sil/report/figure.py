@@ -16,6 +16,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sil.recording.runs import true_runs
+
 Floats = NDArray[np.float64]
 MM, BAR, MS = 1e3, 1e-5, 1e3
 """Factors from SI units to the units of figures."""
@@ -237,6 +239,5 @@ def spans_of(
 
     times: [n] ascending, in any unit; on: [n], whether it is on from then.
     """
-    changes = np.flatnonzero(np.diff([False, *map(bool, on), False]))
     edges = [*times, end]
-    return [(float(edges[a]), float(edges[b])) for a, b in changes.reshape(-1, 2)]
+    return [(float(edges[a]), float(edges[b])) for a, b in true_runs(np.array(on, dtype=bool))]

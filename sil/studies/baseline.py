@@ -60,11 +60,13 @@ def _cells(
     for name in metrics:
         factor = metric_of(name).factor
         values = factor * table.numbers[name][rows]
-        known = values[np.isfinite(values)]
-        if not len(known):
+        values = values[np.isfinite(values)]
+        if not len(values):
             yield from ("none",) if baseline is None else ("none", "")
             continue
-        middle, least, greatest = (f"{x:.4g}" for x in (np.median(known), known.min(), known.max()))
+        middle, least, greatest = (
+            f"{x:.4g}" for x in (np.median(values), values.min(), values.max())
+        )
         yield middle if least == greatest else f"{middle} ({least} to {greatest})"
         if baseline is not None:
             change = factor * differences(table, baseline, name)[rows]

@@ -31,13 +31,8 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
             *("shift_time_s", "impact_speed_m_s", "impact_energy_j"),
             *("impact_worst_m_s", "impact_worst_energy_j", "impact_worst_force_n"),
             *("confirmed_early_s", "overshoot_m", "oscillations"),
-            *(
-                "position_lag_10_s",
-                "position_lag_90_s",
-                "air_used_kg",
-                "valve_switchings",
-                "failed",
-            ),
+            *("position_lag_10_s", "position_lag_90_s"),
+            *("air_used_kg", "valve_switchings", "failed"),
         )
         return (*shift, *safety.COLUMNS) if self.safety else shift
 
