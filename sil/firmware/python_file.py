@@ -52,6 +52,8 @@ class OwnController:
     def __init__(self, where: str, config: FirmwareConfig, name: str = "controller") -> None:
         self.name = name
         file, _, class_name = where.partition(":")
+        if file.encode(errors="ignore").decode() != file:
+            raise InputError(f"firmware: {file}: its name is not UTF-8; expected one that is")
         self._path = Path(file)
         if self._path.is_dir():
             if not (self._path / "controller" / "node.py").is_file():

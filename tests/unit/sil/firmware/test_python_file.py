@@ -50,6 +50,7 @@ def test_it_is_found_beside_the_scenario_and_from_the_command_line(
     ("program", "firmware", "reported"),
     [
         (OURS, "none.py", "no such file"),
+        (OURS, "\udcff.py", "its name is not UTF-8"),
         (OURS, ".", "is a folder; expected FILE.py"),
         (OURS, "own.toml", "expected FILE.py"),
         (OURS, "own.py:Other", "no class 'Other'"),
