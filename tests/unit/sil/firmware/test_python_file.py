@@ -50,7 +50,6 @@ def test_it_is_found_beside_the_scenario_and_from_the_command_line(
     ("program", "firmware", "reported"),
     [
         (OURS, "none.py", "no such file"),
-        (OURS, "\udcff.py", "its name is not UTF-8"),
         (OURS, ".", "is a folder; expected FILE.py"),
         (OURS, "own.toml", "expected FILE.py"),
         (OURS, "own.py:Other", "no class 'Other'"),
@@ -176,3 +175,9 @@ def test_a_process_serves_one_run_after_the_other(tmp_path: Path) -> None:
     assert third.advance(0, [])[0] == second.advance(0, [])[0]
     second.close()
     third.close()
+
+
+def test_a_name_that_is_not_utf8_is_refused(tmp_path: Path, capsys: Any) -> None:
+    command = ["run", "lab_n_b", "--firmware", "\udcff.py", "--out", str(tmp_path / "out")]
+    assert main(command) == 2
+    assert "its name is not UTF-8" in capsys.readouterr().err
