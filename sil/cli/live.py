@@ -15,10 +15,12 @@ EXAMPLE = """\
 example:
   opc4 live
   opc4 live my_scenario.toml --runs results --no-browser --port 8000
+  opc4 live --firmware own.c
 """
 
 ARGUMENTS = (
     argument("scenarios", "further scenario files", "SCENARIO", nargs="*"),
+    argument("--firmware", "a firmware of your own, as of opc4 run", "FILE", default=""),
     argument("--port", "port on 127.0.0.1; 0: any free one [0]", "N", type=int, default=0),
     argument("--runs", "folder of the finished runs that are shown [runs]", "DIR", type=Path),
     argument("--no-browser", "print the address only"),
@@ -26,12 +28,13 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serve until interrupted. Raises InputError for a port in use or a scenario that is not valid."""
+    """Serve until interrupted. Raises InputError for a port in use, a scenario or firmware that is not valid."""
     import asyncio
     import signal
     import webbrowser
 
     from can_dbc.errors import InputError
+    from sil.firmware.load import firmware_node
     from sil.live.server import Bench, serve
     from sil.simulation import load_scenario
 
@@ -43,7 +46,15 @@ def run(arguments: argparse.Namespace) -> int:
     folder = arguments.runs or Path("runs")
     if arguments.runs is not None and not folder.is_dir():
         raise InputError(f"{folder}: --runs: no such folder; expected one that exists")
-    shared = Bench(scenarios, folder.resolve(), log=lambda line: say(f"opc4 live: {line}"))
+    if arguments.firmware:
+        checked = load_scenario.load("lab_n_b", settings={"firmware": arguments.firmware}).scenario
+        firmware_node(checked.firmware, checked.controller).close()
+    shared = Bench(
+        scenarios,
+        folder.resolve(),
+        log=lambda line: say(f"opc4 live: {line}"),
+        firmware=arguments.firmware,
+    )
 
     def ready(address: str) -> None:
         print(address, flush=True)

@@ -29,6 +29,7 @@ from plant.parameters.bounds import bounds
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.files.overrides import setting_texts
+from sil.firmware.load import absolute
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.recording.trace_csv import held
 from sil.report.figure import BAR, MM, MS
@@ -84,6 +85,8 @@ class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     requests: list[Request] | None = None
     faults: dict[Literal[FAULT_TABLES], list[dict[str, Any]]] = {}  # type: ignore[valid-type]
     duration_s: float | None = None
+    firmware: str = ""
+    """A firmware of the user's in place of the scenario's: of the command, never of the page."""
 
 
 def load_asked(asked: Asked, scenarios: Mapping[str, str]) -> Loaded:
@@ -105,6 +108,8 @@ def load_asked(asked: Asked, scenarios: Mapping[str, str]) -> Loaded:
         table[name] = [*table.get(name, []), *faults]
     if asked.duration_s is not None:
         table["duration_s"] = asked.duration_s
+    if asked.firmware:
+        table["firmware"] = absolute(asked.firmware, Path())
     loaded = load_scenario.from_table(
         table, asked.scenario, folder=path_of_file.parent, settings=asked.settings
     )
@@ -127,6 +132,7 @@ def compare(before: Asked, after: Asked, scenarios: Mapping[str, str]) -> dict[s
     record, scenario = run.record, loaded.scenario
     changed = after.requests is not None or after.faults or after.duration_s is not None
     words = ["opc4", "run", after.scenario]
+    words += ["--firmware", after.firmware] if after.firmware else []
     words += [word for text in setting_texts(after.settings) for word in ("--set", text)]
     return {
         "name": after.scenario,
@@ -157,7 +163,8 @@ def frames(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _run(asked: Asked, scenarios: Mapping[str, str]) -> tuple[Loaded, Run]:
-    files = named_files(scenarios.get(asked.scenario, ""), (Path(),), set())
+    named = [scenarios.get(asked.scenario, ""), asked.firmware]
+    files = named_files(named, (Path(),), set())
     written = tuple(sorted((str(path), path.stat().st_mtime_ns) for path in files))
     return _cached(msgspec.json.encode(asked, order="sorted"), tuple(scenarios.items()), written)
 

@@ -9,7 +9,6 @@ Checked by: tests/unit/sil/live/test_server.py, tests/browser/test_live.py
 from __future__ import annotations
 
 import asyncio
-import functools
 import hmac
 import json
 import os
@@ -19,6 +18,7 @@ import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,8 @@ class Bench:
     folder: Path
     """Folder of finished runs; nothing else is read."""
     log: Log
+    firmware: str = ""
+    """Of the user's, in place of that of the scenarios."""
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     port: int = 0
     started: str = field(default_factory=lambda: secrets.token_hex(4))
@@ -156,10 +158,16 @@ class _Api(_Handler):
 
     async def post(self, what: str) -> None:
         body, scenarios, decode = self.request.body, self.shared.scenarios, msgspec.json.decode
+        ours = partial(msgspec.structs.replace, firmware=self.shared.firmware)
+
+        def compare() -> dict[str, Any]:
+            before, after = decode(body, type=tuple[Asked, Asked])
+            return bench.compare(ours(before), ours(after), scenarios)
+
         works: dict[str, Callable[[], Any]] = {
-            "frames": lambda: bench.frames(decode(body, type=Asked), scenarios),
-            "values": lambda: bench.values_of(decode(body, type=Asked), scenarios),
-            "compare": lambda: bench.compare(*decode(body, type=tuple[Asked, Asked]), scenarios),
+            "frames": lambda: bench.frames(ours(decode(body, type=Asked)), scenarios),
+            "values": lambda: bench.values_of(ours(decode(body, type=Asked)), scenarios),
+            "compare": compare,
             "runs": lambda: runs.compared(self.shared.folder, decode(body, type=list[str])),
         }
         if what not in works:
@@ -273,7 +281,7 @@ class _Nothing(_Handler):
         raise web.HTTPError(404)
 
 
-@functools.cache
+@cache
 def page() -> str:
     """Return the page, complete in one file."""
     from sil.report.plots import Group

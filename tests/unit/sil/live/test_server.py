@@ -15,10 +15,12 @@ from typing import Any
 import pytest
 
 from can_dbc.errors import InputError
+from sil.firmware.compiler import compiled
 from sil.live import server
 from sil.live.server import HOST, MAX_CONNECTIONS, Bench, serve
-from sil.simulation.load_scenario import shipped
-from tests.conftest import Run, run_opc4
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.load_scenario import load, shipped
+from tests.conftest import ROOT, Run, run_opc4
 
 
 class Served:
@@ -88,6 +90,29 @@ def test_the_page_and_what_it_asks_for(served: Served) -> None:
     assert status == 200 and len(json.loads(text)["frames"]) > 300
     status, text, headers = served.ask("GET", "/runs/done/report.html")
     assert (status, text) == (200, "<p>page</p>")
+
+
+@pytest.mark.parametrize("suffix", ["py", "c", "wasm"])
+def test_a_firmware_of_the_user_runs_every_scenario(
+    served: Served, suffix: str, tmp_path: Path
+) -> None:
+    drafts, path = ROOT / "sil" / "cli" / "drafts", tmp_path / f"own.{suffix}"
+    if suffix == "py":
+        text = (drafts / "firmware.py").read_text()
+        path.write_text(text.replace("MAX_DUTY = 1.0", "MAX_DUTY = 0.9"))
+    else:
+        pytest.importorskip("ziglang", reason="extra c")
+        source = drafts / "firmware.c"
+        path.write_bytes(source.read_bytes() if suffix == "c" else compiled(source))
+    served.bench.firmware = str(path)
+    status, text, _ = served.ask("POST", "/api/compare", [{"scenario": "lab_n_b"}] * 2)
+    refused = served.ask("POST", "/api/frames", {"scenario": "lab_n_b", "firmware": "/etc/x.py"})
+    served.bench.firmware = ""
+    own = run_in_memory(load("lab_n_b", settings={"firmware": str(path)}))
+    shown = json.loads(text)
+    assert status == 200 and refused[0] == 200  # what the page names is not taken
+    assert shown["command"] == f"opc4 run lab_n_b --firmware {path}"
+    assert shown["trace_sha256"] == own.trace_sha256 != run_in_memory(load("lab_n_b")).trace_sha256
 
 
 @pytest.mark.parametrize(
@@ -177,6 +202,7 @@ def test_bad_arguments_are_refused(opc4: Run, tmp_path: Path) -> None:
         (["--port", "99999"], "--port 99999: expected 0 to 65535"),
         (["--runs", "missing"], "missing: --runs: no such folder"),
         (["none.toml"], "none.toml: file: not found"),
+        (["--firmware", "none.c"], "none.c: no such file; expected FILE.c or FILE.wasm"),
     ):
         done = run_opc4(tmp_path, "live", "--no-browser", *arguments)
         assert done.returncode == 2 and line in done.stderr and done.stderr.count("\n") == 1
