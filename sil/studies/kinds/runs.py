@@ -13,6 +13,7 @@ from can_dbc.messages import ControllerStatus, Fault
 from sil.report.figure import Figure
 from sil.simulation import safety
 from sil.simulation.in_memory import Run, run_in_memory
+from sil.simulation.metrics import METRICS
 from sil.studies.fault_table import fault_table, longest_sight_s, outcomes_figure, safe_states
 from sil.studies.figures import swept_figures
 from sil.studies.study import Row, RowResult, ScenarioStudy, Study, Table
@@ -26,14 +27,14 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
     """Report what the faults of each row did (detection, end state, damage); write fault_table.md."""
 
     def columns(self) -> tuple[str, ...]:
-        """Return the figures of the last shift, of a safety study also those of `sil.simulation.safety`."""
+        """Return the figures of the last shift, metrics that `reads` names, of a safety study also its own."""
         shift = (
             *("shift_time_s", "impact_speed_m_s", "impact_energy_j"),
             *("impact_worst_m_s", "impact_worst_energy_j", "impact_worst_force_n"),
             *("confirmed_early_s", "overshoot_m", "oscillations"),
-            *("position_lag_10_s", "position_lag_90_s"),
-            *("air_used_kg", "valve_switchings", "failed"),
+            *("position_lag_10_s", "position_lag_90_s", "air_used_kg", "valve_switchings"),
         )
+        shift += (*(name for name in METRICS if name in {*self.reads} - {*shift}), "failed")
         return (*shift, *safety.COLUMNS) if self.safety else shift
 
     def run(self, study: Study, row: Row) -> RowResult:
@@ -47,8 +48,10 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
         last = run.shifts[-1] if run.shifts else None
         overshoot_m, turns = _after_arrival(run.record.truth, last.arrived_s if last else None)
         reason = _why_not_done(run, loaded.scenario.expect.final_gear)
-        figures = {name: math.nan if x is None else float(x) for name, x in run.metrics.items()
-                   if name in self.columns()}  # fmt: skip
+        figures = {
+            name: math.nan if run.metrics.get(name) is None else float(run.metrics[name])
+            for name in self.columns()
+        }
         figures |= {
             "overshoot_m": overshoot_m,
             "oscillations": turns,

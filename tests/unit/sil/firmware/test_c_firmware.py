@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import re
 import shutil
@@ -24,6 +25,7 @@ from sil.log_replay.replay import ReplayRequest, replay
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded, load, shipped
 from sil.simulation.state import State
+from sil.studies.load_study import load_study
 from tests.conftest import ROOT
 from tests.faults.drawn import draw
 from tests.golden_replays import golden_path
@@ -295,6 +297,35 @@ def test_limits_of_a_scenario_are_expectations(tmp_path: Path) -> None:
     assert checks["firmware_instructions"] is False and checks["firmware_stack_bytes"] is True
     with pytest.raises(InputError, match=r"firmware\.max: unknown; expected one of"):
         load(str(own_scenario(tmp_path, 'file = "own.c"\nmax = 1')))
+
+
+def test_what_a_step_costs_is_in_the_report_and_in_a_study(tmp_path: Path) -> None:
+    path = own_scenario(tmp_path, 'file = "own.c"\nmax_instructions = 7001')
+    assert main(["run", str(path), "--quiet", "--out", str(tmp_path / "run")]) == 0
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    page, cost = (tmp_path / "run" / "report.html").read_text(), result["firmware"]
+    for shown in (
+        cost["max_instructions"],
+        7001,
+        cost["stack_bytes"],
+        cost["memory_bytes"],
+        "none",
+    ):
+        assert f'<td class="n">{shown}</td>' in page
+    assert all(f"<code>{frame}</code>" in page for frame in cost["max_inputs"])
+    study = tmp_path / "study.toml"
+    study.write_text(
+        'name = "slow"\nscenario = "own.toml"\nreads = ["shift_time_s", "firmware_instructions"]\n'
+        '[[sweep]]\npath = "controller.ns_per_instruction"\nvalues = [0.0, 500.0]\n'
+    )
+    own = load_study(str(study))
+    rows = [own.file.run(own, row).figures for row in own.rows()]
+    assert [row["firmware_instructions"] for row in rows] == [cost["max_instructions"]] * 2
+    later_s = rows[1]["shift_time_s"] - rows[0]["shift_time_s"]
+    assert later_s == pytest.approx(500e-9 * cost["max_instructions"] - 1e-4, rel=0.02)
+    shipped_in_c = load_study(str(study), firmware="c")
+    figures = shipped_in_c.file.run(shipped_in_c, next(shipped_in_c.rows())).figures
+    assert figures["firmware_instructions"] > 1.2 * cost["max_instructions"]
 
 
 def test_frames_leave_after_the_instructions_of_their_step(tmp_path: Path) -> None:
