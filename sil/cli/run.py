@@ -60,7 +60,8 @@ ARGUMENTS = (
     ),
     argument(
         "--break-at",
-        "write the steps of a firmware in C up to this one as a program for a debugger",
+        "write a step of a firmware in C: the steps up to it as a program for a debugger, and the "
+        "state before it for --from",
         "TICK",
         type=int,
     ),
@@ -87,6 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.junit is not None:
         _check_junit(arguments.junit)
     from sil.files.output_folder import prepare_folder
+    from sil.firmware.load import in_module
     from sil.simulation import load_scenario
     from sil.simulation.compared import against_shipped, without_expectations
     from sil.simulation.results import write_result
@@ -121,7 +123,10 @@ def run(arguments: argparse.Namespace) -> int:
         external=arguments.external,
         say=say,
     )
-    if arguments.break_at is not None:
+    failed_in_c = "controller failed" in (finished.result.why or "") and in_module(
+        loaded.scenario.firmware
+    )
+    if arguments.break_at is not None or failed_in_c:
         _write_steps(loaded, arguments.break_at, folder)
     if arguments.save_at is not None:
         from sil.simulation.loop import Loop, save
@@ -140,26 +145,33 @@ def run(arguments: argparse.Namespace) -> int:
     return _report(arguments, finished, folder)
 
 
-def _write_steps(loaded: Loaded, tick: int, folder: Path) -> None:
-    """Write the program break_TICK.c, and opc4.h beside it. Raises InputError without such a step."""
+def _write_steps(loaded: Loaded, tick: int | None, folder: Path) -> None:
+    """Write a step of a firmware in C, the last one for None: break_TICK.c, opc4.h, and the state before it.
+
+    Raises InputError without such a step.
+    """
     from can_dbc.errors import InputError, RunError
     from sil.files.atomic import write_atomically
     from sil.firmware.contract import header
     from sil.simulation.build import firmware_in_c
-    from sil.simulation.loop import Loop
+    from sil.simulation.loop import Loop, save
 
     loop = Loop(loaded)
     node = firmware_in_c(loop.participants)
     if node is None:
         raise InputError("--break-at: the firmware is not in C; expected FILE.c")
-    node.steps = []
+    steps = node.steps = []
     with contextlib.suppress(RunError):  # the step that is looked at may be the one that fails
         loop.finish()
-    if not 0 <= tick < len(node.steps):
-        raise InputError(f"--break-at {tick}: expected 0 to {len(node.steps) - 1}")
-    del node.steps[tick + 1 :]
+    tick = len(steps) - 1 if tick is None else tick
+    if not 0 <= tick < len(steps):
+        raise InputError(f"--break-at {tick}: expected 0 to {len(steps) - 1}")
+    del steps[tick + 1 :]
     write_atomically(folder / f"break_{tick}.c", node.reproduction(f"break_{tick}"))
     write_atomically(folder / "opc4.h", header())
+    again = Loop(loaded)
+    again.lockstep.advance(steps[tick].now_ns - 1)
+    save(again, folder / f"break_{tick}.opc4")
 
 
 def _check_instant(arguments: argparse.Namespace, loaded: Loaded) -> None:

@@ -122,7 +122,8 @@ class _Restricted(pickle.Unpickler):
 
 
 _MAKERS = (
-    *("collections.deque", "collections.Counter", "collections.defaultdict", "builtins.int"),
+    *("collections.deque", "collections.Counter", "collections.defaultdict"),
+    *("builtins.int", "pathlib.PosixPath"),
     *("_reconstruct", "scalar", "_frombuffer"),  # of numpy
     *("_operator.or_", "_operator.getitem", "msgspec._utils.rebuild"),  # of flags and records
 )

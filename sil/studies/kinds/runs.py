@@ -28,7 +28,7 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
 
     def columns(self) -> tuple[str, ...]:
         """Return the figures of the last shift, metrics that `reads` names, of a safety study also its own."""
-        shift = (
+        shift: tuple[str, ...] = (
             *("shift_time_s", "impact_speed_m_s", "impact_energy_j"),
             *("impact_worst_m_s", "impact_worst_energy_j", "impact_worst_force_n"),
             *("confirmed_early_s", "overshoot_m", "oscillations"),

@@ -184,6 +184,11 @@ def test_the_command_ends_with_3_and_the_next_run_is_not_affected(
         r"faults\.c:35:22: signed integer overflow, tick 5 \(at 0\.050000 s sim", complaint
     )
     assert run_in_memory(load("lab_n_b", settings={"firmware": "c"})).trace_sha256 == before
+    out = tmp_path / "out"
+    assert {"break_5.c", "opc4.h", "break_5.opc4"} < {path.name for path in out.iterdir()}
+    from_state = ["run", "--from", str(out / "break_5.opc4"), "--out", str(tmp_path / "again")]
+    assert main([*from_state, "--no-report"]) == 3
+    assert "signed integer overflow, tick 5 (at 0.050000 s sim" in capsys.readouterr().err
 
 
 def refused(content: bytes, folder: Path) -> str:
