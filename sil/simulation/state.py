@@ -1,7 +1,7 @@
 """The values of a graph of objects that may change: taken at an instant, and put back in place.
 
-The objects themselves stay: what refers to what is the same for the whole run. Frozen records, tuples
-and functions are values. Checked by: tests/unit/sil/simulation/test_loop.py
+The objects stay: what refers to what is the same for the whole run. Frozen records and tuples are values.
+Checked by: tests/unit/sil/simulation/test_loop.py
 """
 
 from __future__ import annotations
@@ -19,23 +19,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 PACKAGES = ("can_dbc", "controller", "plant", "sil")
-
-VALUES = (
+_VALUES = (
     *(str, bytes, int, float, frozenset, range, type, type(None), Enum, PurePath),
     *(np.generic, MappingProxyType, ModuleType),
 )
+
 Values = list[Any]
 """A state: the values of each place, in their order."""
 
 
 class Place(NamedTuple):
-    """An object whose values may change."""
+    """An object whose values may change; `names`: of the attributes that are values."""
 
     owner: Any
     take: Callable[[], Any]
     put: Callable[[Any], object]
     names: tuple[str, ...] = ()
-    """Of the attributes that are values."""
 
 
 class State:
@@ -44,68 +43,61 @@ class State:
     def __init__(self, *roots: Any) -> None:
         self.places: list[Place] = []
         self._seen: dict[int, bool] = {}
-        for root in roots:
-            self._visit(root)
-        self._takes = [place.take for place in self.places]
-        self._puts = [place.put for place in self.places]
+        self._visit(roots)
 
     def values(self) -> Values:
         """Return the values as they are now."""
-        return [take() for take in self._takes]
+        return [place.take() for place in self.places]
 
     def restore(self, values: Values) -> None:
         """Put values back, of these places or of others that were made in the same way."""
-        for put, value in zip(self._puts, values, strict=True):
-            put(value)
+        for place, value in zip(self.places, values, strict=True):
+            place.put(value)
 
     def _visit(self, value: Any) -> bool:
-        """Note the places in a value; return whether there are any, so that it is not a value itself."""
-        number = id(value)
-        if number not in self._seen:
-            self._seen[number] = True  # a cycle leads back to a place
-            inner = [self._visit(part) for part in _parts(value)]
-            if isinstance(value, tuple):
-                self._seen[number] = any(inner)
-            elif isinstance(value, list | dict | set | deque):
-                if not any(inner):
-                    self.places.append(_container(value))
-            elif isinstance(value, np.ndarray):
-                if value.base is None:
-                    self.places.append(Place(value, value.copy, partial(np.copyto, value)))
-            elif isinstance(value, random.Random):
-                self.places.append(Place(value, value.getstate, value.setstate))
-            elif isinstance(value, np.random.Generator):
-                self.places.append(_generator(value.bit_generator))
-            elif _is_value(value):
-                self._seen[number] = False
-            elif type(value).__module__.partition(".")[0] in PACKAGES:
-                self._visit_object(value)
-            elif not callable(value):  # functions stay as they are
-                raise TypeError(f"{type(value).__name__} has no state that can be saved")
+        """Note the places in a value; return whether it has any, so that it is not a value itself."""
+        number, kind = id(value), type(value)
+        if number in self._seen:
+            return self._seen[number]
+        self._seen[number] = True  # a cycle leads back to a place
+        inside = [self._visit(part) for part in _parts(value)]
+        if isinstance(value, tuple):
+            self._seen[number] = any(inside)
+        elif isinstance(value, list | dict | set | deque):
+            if not any(inside):
+                self._note(value, value.copy, partial(_refill, value))
+        elif isinstance(value, np.ndarray):
+            if value.base is None:
+                self._note(value, value.copy, partial(np.copyto, value))
+        elif isinstance(value, random.Random):
+            self._note(value, value.getstate, value.setstate)
+        elif isinstance(value, np.random.Generator):
+            bits = value.bit_generator
+            self._note(bits, lambda: bits.state, partial(setattr, bits, "state"))
+        elif isinstance(value, _VALUES) or _is_frozen(kind):
+            self._seen[number] = False
+        elif hasattr(value, "snapshot"):
+            self._note(value, value.snapshot, value.restore)
+        elif kind.__module__.partition(".")[0] in PACKAGES:
+            names = [name for name in _names(value) if not self._visit(getattr(value, name))]
+            self.places += [_attributes(value, names)] if names else []
+        elif not callable(value):  # functions stay as they are
+            raise TypeError(f"{kind.__name__} has no state that can be saved")
         return self._seen[number]
 
-    def _visit_object(self, value: Any) -> None:
-        if hasattr(value, "snapshot"):
-            self.places.append(Place(value, value.snapshot, value.restore))
-            return
-        names = [name for name in _names(value) if not self._visit(getattr(value, name))]
-        if names:
-            self.places.append(_attributes(value, names))
+    def _note(self, owner: Any, take: Callable[[], Any], put: Callable[[Any], object]) -> None:
+        self.places.append(Place(owner, take, put))
 
 
-def _is_value(value: Any) -> bool:
-    """Return whether a value never changes."""
-    kind = type(value)
-    frozen = getattr(getattr(kind, "__dataclass_params__", None), "frozen", False)
-    frozen |= getattr(getattr(kind, "__struct_config__", None), "frozen", False)
-    return frozen or isinstance(value, VALUES)
+def _is_frozen(kind: type) -> bool:
+    records = (getattr(kind, name, None) for name in ("__dataclass_params__", "__struct_config__"))
+    return any(getattr(record, "frozen", False) for record in records)
 
 
 def _names(value: Any) -> Iterator[str]:
     yield from getattr(value, "__dict__", ())
     for kind in type(value).__mro__:
-        slots = kind.__dict__.get("__slots__", ())
-        yield from (name for name in slots if hasattr(value, name))
+        yield from (name for name in kind.__dict__.get("__slots__", ()) if hasattr(value, name))
 
 
 def _parts(value: Any) -> Iterator[Any]:
@@ -124,36 +116,19 @@ def _parts(value: Any) -> Iterator[Any]:
 
 def _attributes(owner: Any, names: list[str]) -> Place:
     names = names if len(names) > 1 else 2 * names  # of one name, a getter gives no tuple
-    attributes = getattr(owner, "__dict__", {})
-    if all(name in attributes for name in names):
-        return Place(
-            owner,
-            partial(itemgetter(*names), attributes),
-            lambda values: attributes.update(zip(names, values, strict=True)),
-            tuple(names),
-        )
+    slots = not hasattr(owner, "__dict__")
+    take = partial(attrgetter(*names), owner) if slots else partial(itemgetter(*names), vars(owner))
 
     def put(values: tuple[Any, ...]) -> None:
+        if not slots:
+            vars(owner).update(zip(names, values, strict=True))
+            return
         for name, value in zip(names, values, strict=True):
             setattr(owner, name, value)
 
-    return Place(owner, partial(attrgetter(*names), owner), put, tuple(names))
+    return Place(owner, take, put, tuple(names))
 
 
-def _container(value: Any) -> Place:
-    if isinstance(value, list):
-        return Place(value, value.copy, partial(value.__setitem__, slice(None)))
-    fill = value.extend if isinstance(value, deque) else value.update
-
-    def put(content: Any) -> None:
-        value.clear()
-        fill(content)
-
-    return Place(value, value.copy, put)
-
-
-def _generator(bits: np.random.BitGenerator) -> Place:
-    def put(state: Any) -> None:
-        bits.state = state
-
-    return Place(bits, lambda: bits.state, put)
+def _refill(container: Any, content: Any) -> None:
+    container.clear()
+    getattr(container, "update" if isinstance(container, dict | set) else "extend")(content)
