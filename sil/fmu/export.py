@@ -16,8 +16,6 @@ from sil.files.atomic import write_atomically
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import expanded
 
-SCRIPTS = {"plant": "plant_fmu.py", "controller": "controller_fmu.py"}
-
 
 def export(what: str, loaded: Loaded, out: Path) -> None:
     """Write the unit of one side of a scenario to `out`.
@@ -31,8 +29,8 @@ def export(what: str, loaded: Loaded, out: Path) -> None:
     text = json.dumps(settings, sort_keys=True)
     settings["token"] = str(uuid.uuid5(uuid.NAMESPACE_OID, f"{what} {text}"))
     with tempfile.TemporaryDirectory() as folder:
-        script = Path(folder) / SCRIPTS[what]
-        shutil.copy2(Path(__file__).parent / SCRIPTS[what], script)
+        script = Path(folder) / f"{what}_fmu.py"
+        shutil.copy2(Path(__file__).parent / script.name, script)
         resource = Path(folder) / "settings.json"
         resource.write_text(json.dumps(settings, sort_keys=True))
         built = FmuBuilder.build_FMU(script, Path(folder) / "built", [resource])

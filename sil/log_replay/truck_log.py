@@ -8,7 +8,8 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from functools import cached_property
+from itertools import accumulate, pairwise
 from math import pi
 from typing import Final
 
@@ -63,6 +64,12 @@ class _Series:
     times_ns: array[int] = field(default_factory=lambda: array("q"))
     content: bytearray = field(default_factory=bytearray)
 
+    @cached_property
+    def pieces(self) -> list[NDArray[np.int64]]:
+        """The times in ns, cut where the clock steps back; call it when all frames are there."""
+        times_ns = np.array(self.times_ns, dtype=np.int64)
+        return np.split(times_ns, np.flatnonzero(np.diff(times_ns) < 0) + 1)
+
 
 def is_data_of(frame: LogFrame, can_id: int | None) -> bool:
     """Return whether a frame is a data frame with a 29-bit identifier."""
@@ -82,8 +89,6 @@ class TruckLog:
         self._series: dict[Sender, _Series] = {}
         self._latest: dict[tuple[str, int], dict[Meaning, float]] = {}
         self._short = 0
-        self._times: dict[Sender, NDArray[np.int64]] = {}
-        self._pieces: dict[Sender, NDArray[np.int64]] = {}
 
     def read(self, frames: Iterable[LogFrame], stop_id: int | None = None) -> bool:
         """Read all frames; return False at a frame with the identifier `stop_id`, not having read on."""
@@ -178,14 +183,6 @@ class TruckLog:
         self._series = {
             sender: series for sender, series in self._series.items() if series.times_ns
         }
-        self._times = {
-            sender: np.array(series.times_ns, dtype=np.int64)
-            for sender, series in self._series.items()
-        }
-        self._pieces = {
-            sender: np.flatnonzero(np.diff(times, prepend=times[0]) < 0)
-            for sender, times in self._times.items()
-        }
 
     def require_shifts(self) -> None:
         """Raise InputError in one line if shaft speeds, gears or shifts are missing."""
@@ -246,16 +243,13 @@ class TruckLog:
         return max(b - a for a, b in pairwise(ordered)) / NS_PER_S
 
     def _window(self, sender: Sender, begin_ns: int, end_ns: int) -> list[tuple[int, bytes]]:
-        series, times = self._series[sender], self._times[sender]
-        length = self.mapping.length(sender.message)
-        ends = [0, *self._pieces[sender].tolist(), len(times)]  # at steps of the clock backwards
-        inside = max(
-            (
-                range(*(begin + np.searchsorted(times[begin:end], (begin_ns, end_ns + 1))).tolist())
-                for begin, end in pairwise(ends)
-            ),
-            key=len,
+        series, length = self._series[sender], self.mapping.length(sender.message)
+        begins = accumulate(map(len, series.pieces), initial=0)
+        windows = (
+            range(*(begin + np.searchsorted(times_ns, (begin_ns, end_ns + 1))).tolist())
+            for begin, times_ns in zip(begins, series.pieces, strict=False)
         )
+        inside = max(windows, key=len)
         return [
             (series.times_ns[i], bytes(series.content[i * length : (i + 1) * length]))
             for i in inside

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 from can_dbc.codec import can_id_of
@@ -15,30 +16,27 @@ class EndToEnd:
 
     def __init__(self) -> None:
         """Start without frames."""
-        self._receivers: dict[int, Receiver[Any]] = {
-            can_id_of(kind): Receiver(kind) for kind in PROTECTED
-        }
-        self._foreign: dict[str, int] = {}
+        self._receivers: dict[type, Receiver[Any]] = {kind: Receiver(kind) for kind in PROTECTED}
+        self._foreign: Counter[type] = Counter()
 
     def add(self, record: RunRecord) -> None:
         """Check the frames of the next piece of the run."""
-        for can_id, receiver in self._receivers.items():
-            name = receiver.message_type.__name__
-            for entry in record.frames_of(can_id):
+        for kind, receiver in self._receivers.items():
+            for entry in record.frames_of(can_id_of(kind)):
                 status = receiver.receive(entry.arrival_ns, entry.frame)
                 if entry.sender == INTRUDER and status in ACCEPTED:
-                    self._foreign[name] = self._foreign.get(name, 0) + 1
+                    self._foreign[kind] += 1
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Return frames by status, and how many of an intruder's frames were accepted."""
         return {
-            receiver.message_type.__name__: {
+            kind.__name__: {
                 **{
                     status.value: receiver.counts[status]
                     for status in E2eStatus
                     if status is not E2eStatus.NO_NEW_DATA
                 },
-                "intruder's taken": self._foreign.get(receiver.message_type.__name__, 0),
+                "intruder's taken": self._foreign[kind],
             }
-            for receiver in self._receivers.values()
+            for kind, receiver in self._receivers.items()
         }

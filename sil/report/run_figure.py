@@ -29,9 +29,6 @@ from sil.report.vehicle_figure import vehicle_panels, without_torque
 from sil.simulation.fault_marks import FaultSpan, detections
 from sil.simulation.metrics import Shift
 
-SETTLED_S = 0.025
-"""What is shown after everything has settled."""
-
 SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
 STATES = "Firmware state"
 SENDERS = {"driver": "B", "controller": "estimate", "plant": "truth"}
@@ -136,7 +133,7 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
                 first = begin
                 settled.append(back)
         last = max(instant for instant in settled if instant is not None)
-        low, high = max(first - 0.02, 0.0), min(last + SETTLED_S, until)
+        low, high = max(first - 0.02, 0.0), min(last + 0.025, until)
         zooms.append(Zoom(f"{shift.from_gear} to {shift.to_gear}", low * MS, high * MS))
     return zooms or [Zoom("whole run", 0.0, end * MS)]
 

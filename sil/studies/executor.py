@@ -28,7 +28,6 @@ from sil.studies.study import Row, Study
 from sil.studies.table import RESULTS
 
 STATE = "study.json"
-RESUME = "the finished rows are stored; add --resume to continue"
 Progress = Callable[[int, int], None]
 
 
@@ -125,7 +124,8 @@ def _results(
     """Yield the lines of each chunk, in order."""
     yield from (run_chunk(study, piece) for piece in wanted[:1])
     work = partial(run_chunk if cluster is None else _run_sent_chunk, study)
-    yield from in_turn(work, wanted[1:], workers=workers, cluster=cluster, then=RESUME)
+    then = "the finished rows are stored; add --resume to continue"
+    yield from in_turn(work, wanted[1:], workers=workers, cluster=cluster, then=then)
 
 
 def _run_sent_chunk(study: Study, numbers: tuple[int, int]) -> list[str]:
