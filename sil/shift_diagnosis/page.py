@@ -32,7 +32,7 @@ from sil.report.shell import Head, Picture, render
 from sil.shift_diagnosis.judge import judge_shifts
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.shifts import FAILED, LEAD_S, RecordedShift, shifts_of
-from sil.shift_diagnosis.verdict import EXPLAINED, Judged, ShiftDiagnosis, with_failures
+from sil.shift_diagnosis.verdict import EXPLAINED, Detectable, Judged, ShiftDiagnosis, with_failures
 
 FALSE_ALARM_BASIS: Final = (
     "posterior of a healthy truck at most 0.01, with priors on what differs between healthy trucks; "
@@ -116,6 +116,15 @@ def alike_of(found: ShiftDiagnosis, cause: Cause) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*own, *others)))
 
 
+def noticed_of(found: ShiftDiagnosis) -> list[Detectable]:
+    """Return what these shifts would show: of each id, the variant that shows at the smallest size."""
+    shown = [item for item in found.detectable if item.size is not None]
+    least: dict[str, Detectable] = {}
+    for item in sorted(shown, key=lambda item: abs(item.size or 0.0)):
+        least.setdefault(item.cause.effect.id, item)
+    return [item for item in shown if item is least[item.cause.effect.id]]
+
+
 def groups_of(found: ShiftDiagnosis) -> list[dict[str, Any]]:
     """Return each group of causes that the bus cannot separate, with what would separate it."""
     groups: dict[frozenset[str], dict[str, Any]] = {}
@@ -162,13 +171,13 @@ def as_json(found: ShiftDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
         groups=groups_of(found),
         detectable=[
             {
-                "cause": i.cause.name,
-                "typical_sizes": i.size,
-                "value": i.value,
+                "id": i.cause.effect.id,
+                "parameter": i.cause.parameter.name,
+                "size": i.value,
                 "unit": i.cause.parameter.unit,
                 "alike": list(i.alike),
             }
-            for i in found.detectable
+            for i in noticed_of(found)
         ],
         truck=truck_rows(found),
         assumed=list(ASSUMED),
@@ -182,7 +191,7 @@ def headline_of(found: ShiftDiagnosis, causes: list[Reported]) -> str:
         return f"Something is wrong: {first}; no cause of the catalogue explains it."
     seen = seen_sentence(
         (i.cause.effect.id, i.value, i.cause.parameter.neutral, i.cause.parameter.unit)
-        for i in found.detectable
+        for i in noticed_of(found)
         if i.value is not None and not i.cause.is_narrowing
     )
     return headline(found.verdict, causes, seen, first)

@@ -268,7 +268,12 @@ def verdict_of(
         )
         return UNNAMED, [text, *_where(best)]
     if probabilities["healthy"] <= ALARM:
-        return ("named", []) if wrong[top] >= CERTAIN else ("ambiguous", _spread(wrong))
+        if wrong[top] < CERTAIN:
+            return "ambiguous", _spread(wrong)
+        size, deviation = next(item for item in judged if item.id == top).size
+        if abs(size) <= 1.96 * deviation:
+            return "ambiguous", [f"{top} is not named: its 95 % interval holds a size of nil"]
+        return "named", []
     if healthy.chi2 > EXPLAINED:
         return UNNAMED, [f"without a cause {healthy.chi2:.1f} times the noise remain"]
     unseen = list(_unnoticed(detectable))

@@ -239,9 +239,7 @@ def one(
         "best": next(iter(causes), ""),
         "healthy": found["probabilities"].get("healthy", 1.0),
         "interval": own and [own["low"], own["value"], own["high"]],
-        "noticed_from": [
-            i["value"] for i in found["detectable"] if i["cause"].split(".")[0] == name
-        ],
+        "noticed_from": [i["size"] for i in found["detectable"] if i["id"] == name],
         "groups": [group["causes"] for group in found["groups"]],
         "chi2": [round(chi2["healthy"], 2), round(chi2["best"], 2)],
         "seconds": [round(ran - began, 1), round(perf_counter() - ran, 1)],

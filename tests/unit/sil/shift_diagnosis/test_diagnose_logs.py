@@ -55,10 +55,10 @@ def test_a_healthy_truck_is_consistent(nominal_log: Path, tmp_path: Path) -> Non
     assert found["chi2_per_number"]["healthy"] < 1.5
     # what would not have been noticed is stated, and it is what the information says
     (timing,) = [line for line in found["findings"] if "(valve timing)" in line]
-    noticed = {row["cause"]: row for row in found["detectable"]}
-    assert f"valve_open_delay {noticed['valve_open_delay']['value']:.2g} s" in timing
-    assert 0.0005 < noticed["valve_open_delay"]["value"] < 0.02
-    assert noticed["end_stop_bounce"]["value"] is None
+    noticed = {row["id"]: row for row in found["detectable"]}
+    assert f"valve_open_delay {noticed['valve_open_delay']['size']:.2g} s" in timing
+    assert 0.0005 < noticed["valve_open_delay"]["size"] < 0.02
+    assert "end_stop_bounce" not in noticed
 
 
 def test_of_many_causes_that_are_alike_the_likeliest_are_reported() -> None:

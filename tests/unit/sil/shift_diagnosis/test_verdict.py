@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from sil.shift_diagnosis.linear import Linear
 from sil.shift_diagnosis.model import Cause, catalogue
-from sil.shift_diagnosis.page import alike_of, groups_of
+from sil.shift_diagnosis.page import alike_of, groups_of, noticed_of
 from sil.shift_diagnosis.verdict import (
     ALARM,
     CERTAIN,
@@ -92,10 +93,20 @@ def test_causes_are_alike_whichever_was_tested() -> None:
     assert group["causes"] == ["sensor_delay", "valve_open_delay"]
 
 
+def test_of_each_cause_the_smallest_size_that_shows_is_stated() -> None:
+    bumps = [cause for cause in catalogue() if cause.effect.id == "friction_bump"][:3]
+    sizes = (4.0, 2.0, None)
+    found = tuple(Detectable(c, size, ()) for c, size in zip(bumps, sizes, strict=True))
+    assert noticed_of(SimpleNamespace(detectable=found)) == [found[1]]
+
+
 def judged(cause: Cause | None, cost: float, shifts: int) -> Judged:
-    """A hypothesis whose fit is to so many shifts."""
+    """A hypothesis whose fit is to so many shifts, a cause's size 1 with a deviation of 0.3."""
     linear = SimpleNamespace(misfit=np.ones(shifts))
-    return Judged(SimpleNamespace(cause=cause, linear=linear), cost, 1.0)
+    fit = SimpleNamespace(
+        cause=cause, linear=linear, estimate=np.ones(1), covariance=np.full((1, 1), 0.09)
+    )
+    return Judged(fit, cost, 1.0)
 
 
 @pytest.mark.parametrize(("behind", "shifts", "named"), [
@@ -152,3 +163,13 @@ def test_probability_of_causes_that_are_not_reported_is_stated(behind: float, sp
         f"the other {sum(others):.2f} of the probability is spread over 18 causes, none above "
         f"{max(others):.2g}"
     ]
+
+
+@pytest.mark.parametrize(("minima", "verdict"), [((), "named"), ((-0.5, 2.5), "ambiguous")])
+def test_a_cause_whose_size_may_be_nil_is_not_named(
+    minima: tuple[float, ...], verdict: str
+) -> None:
+    late = replace(judged(LATE, 0.0, 10), minima=minima)
+    found = weighed([late, judged(FORCE, 80.0, 10), judged(None, 80.0, 10)], 20)
+    probabilities = {item.id: item.probability for item in found}
+    assert verdict_of(found, probabilities, [Detectable(LATE, 1.0, ())])[0] == verdict
