@@ -117,12 +117,11 @@ def alike_of(found: ShiftDiagnosis, cause: Cause) -> tuple[str, ...]:
 
 
 def noticed_of(found: ShiftDiagnosis) -> list[Detectable]:
-    """Return what these shifts would show: of each id, the variant that shows at the smallest size."""
-    shown = [item for item in found.detectable if item.size is not None]
-    least: dict[str, Detectable] = {}
-    for item in sorted(shown, key=lambda item: abs(item.size or 0.0)):
-        least.setdefault(item.cause.effect.id, item)
-    return [item for item in shown if item is least[item.cause.effect.id]]
+    """Return what these shifts would show, each cause in its first variant."""
+    first: dict[str, Detectable] = {}
+    for item in found.detectable:
+        first.setdefault(item.cause.effect.id, item)
+    return [item for item in first.values() if item.size is not None]
 
 
 def groups_of(found: ShiftDiagnosis) -> list[dict[str, Any]]:

@@ -93,11 +93,13 @@ def test_causes_are_alike_whichever_was_tested() -> None:
     assert group["causes"] == ["sensor_delay", "valve_open_delay"]
 
 
-def test_of_each_cause_the_smallest_size_that_shows_is_stated() -> None:
-    bumps = [cause for cause in catalogue() if cause.effect.id == "friction_bump"][:3]
-    sizes = (4.0, 2.0, None)
-    found = tuple(Detectable(c, size, ()) for c, size in zip(bumps, sizes, strict=True))
-    assert noticed_of(SimpleNamespace(detectable=found)) == [found[1]]
+def test_what_would_show_is_the_first_variant_of_each_cause() -> None:
+    bumps = [cause for cause in catalogue() if cause.effect.id == "friction_bump"][:2]
+    found = tuple(
+        Detectable(cause, size, ())
+        for cause, size in ((bumps[0], 4.0), (bumps[1], 2.0), (LATE, 1.0), (FORCE, None))
+    )
+    assert noticed_of(SimpleNamespace(detectable=found)) == [found[0], found[2]]
 
 
 def judged(cause: Cause | None, cost: float, shifts: int) -> Judged:
