@@ -199,6 +199,11 @@ class Receiver(Generic[M]):
         self._no_new_or_repeated = 0
         self._sync = 0
 
+    def wait_from(self, now_ns: int) -> None:
+        """Count the timeout from now on, if no good frame has come yet."""
+        if self._waiting_for_first:
+            self._alive_ns = now_ns
+
     def receive(self, now_ns: int, frame: Frame | None) -> E2eStatus:
         """Check the frame that arrived now, or None if one was due and none came.
 

@@ -116,6 +116,8 @@ class ControllerNode(TickingNode):
         receiver = self._receivers.get(frame.can_id)
         if receiver is None:
             return
+        if self.outputs is None:
+            receiver.wait_from(arrival_ns)
         status = receiver.receive(arrival_ns, frame)
         if receiver is self.pulses and status in ACCEPTED:
             pulse = self.pulses.message
@@ -123,6 +125,9 @@ class ControllerNode(TickingNode):
             self._new_pulses.append(pulse)
 
     def _step(self, now_ns: int) -> list[Frame]:
+        if self.outputs is None:  # the clock may have run before
+            for receiver in self._receivers.values():
+                receiver.wait_from(now_ns)
         inputs = Inputs(
             pulses=tuple(self._new_pulses),
             request=self.requests.message,

@@ -291,12 +291,14 @@ void fw_step(void)
 {
     const int64_t now_ns = fw_in.now_ns;
     enum opc4_gear requested;
-    for (uint32_t k = 0; k < fw_in.count; k++)
-        take(&fw_in.frames[k]);
     if (!unit.has_begun) {
         unit.has_begun = true;
         unit.start_ns = unit.sampled_ns = unit.etc1_due_ns = unit.etc2_due_ns = now_ns;
+        for (unsigned channel = 0; channel < CHANNELS; channel++)
+            unit.channels[channel].alive_ns = now_ns; /* the clock may have run before */
     }
+    for (uint32_t k = 0; k < fw_in.count; k++)
+        take(&fw_in.frames[k]);
     const bool is_waking = now_ns - unit.start_ns < opc4_ns(settings->e2e.startup_s);
     const unsigned position_faults = sense(now_ns, is_waking);
     unsigned faults = judge_inputs(now_ns, is_waking, &requested) | position_faults;

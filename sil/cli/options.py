@@ -49,6 +49,7 @@ def out(default: str) -> tuple[Argument, Argument]:
 
 
 JSON = argument("--json", "print one JSON object on standard output, nothing else")
+OWN_RULES = argument("--rules", "rules of one's own as well: RULES in a Python file", "FILE.py")
 SEED = argument("--seed", "seed of everything random", "N", type=int)
 MODEL = argument("--model", "model file, or name of a parameter set [nominal]", "FILE")
 SETTINGS = argument(

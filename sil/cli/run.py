@@ -13,7 +13,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sil.cli.draft import NEW, write_draft
-from sil.cli.options import EFFECTS, FIRMWARE, JSON, MODEL, SEED, SETTINGS, argument, out, say
+from sil.cli.options import (
+    EFFECTS,
+    FIRMWARE,
+    JSON,
+    MODEL,
+    OWN_RULES,
+    SEED,
+    SETTINGS,
+    argument,
+    out,
+    say,
+)
 
 if TYPE_CHECKING:
     from sil.simulation.load_scenario import Loaded, Overrides
@@ -54,7 +65,7 @@ ARGUMENTS = (
         "FACTOR",
         type=float,
     ),
-    *(FIRMWARE, MODEL, EFFECTS, SETTINGS, SEED),
+    *(FIRMWARE, MODEL, EFFECTS, SETTINGS, SEED, OWN_RULES),
     argument(
         "--save-at", "save the state at this instant into DIR/state.opc4", "SECONDS", type=float
     ),
@@ -89,6 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
         _check_junit(arguments.junit)
     from sil.files.output_folder import prepare_folder
     from sil.firmware.load import in_module
+    from sil.rules.user_file import load_rules
     from sil.simulation import load_scenario
     from sil.simulation.compared import against_shipped, without_expectations
     from sil.simulation.results import write_result
@@ -100,6 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
         "seed": arguments.seed,
     }
     loaded = load_scenario.load(arguments.scenario, **overrides)
+    rules = load_rules(arguments.rules)
     shipped = None
     if not arguments.strict and _is_changed_shipped(arguments, loaded):
         shipped = load_scenario.load(arguments.scenario, seed=arguments.seed)
@@ -121,6 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
         speed=speed,
         free_running=free_running,
         external=arguments.external,
+        rules=rules,
         say=say,
     )
     failed_in_c = "controller failed" in (finished.result.why or "") and in_module(

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sil.cli.options import JSON, argument, out
+from sil.cli.options import JSON, OWN_RULES, argument, out
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ ARGUMENTS = (
     argument("--seed", "seed of everything drawn [1]", "N", type=int, default=1),
     argument("--workers", "processes [1]", "N", type=int, default=1),
     argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
-    argument("--rules", "rules of one's own as well: RULES in a Python file", "FILE.py"),
+    OWN_RULES,
     argument("--resume", "continue the swarm in DIR"),
     *(*out("runs/swarm-N"), JSON),
 )
@@ -52,11 +52,16 @@ def run(arguments: argparse.Namespace) -> int:
     folder = _folder(hunt, arguments)
     runner = partial(in_turn, workers=arguments.workers, cluster=arguments.cluster)
     until_s = None if arguments.hours is None else time.monotonic() + 3600.0 * arguments.hours
-    with Progress("runs") as progress:
+    begun_s = time.monotonic()
+    with Progress("swarm", "runs" if arguments.hours is None else "s") as progress:
+        progress(0.0, 1.0)
         for generation in hunt.run(runner, arguments.runs, until_s):
             _store(folder, generation)
-            runs = sum(each.runs for each in hunt.generations)
-            progress(runs, max(arguments.runs or 0, runs))
+            if arguments.hours is None:
+                runs = sum(each.runs for each in hunt.generations)
+                progress(runs, max(arguments.runs, runs), news(hunt))
+            else:
+                progress(time.monotonic() - begun_s, 3600.0 * arguments.hours, news(hunt))
     files = write_failures(hunt, folder)
     result = write_page(hunt, files, folder)
     if arguments.json:
@@ -126,6 +131,22 @@ def _store(folder: Path, generation: Generation) -> None:
         file.write(msgspec.json.encode(generation) + b"\n")
         file.flush()
         os.fsync(file.fileno())
+
+
+def news(hunt: Hunt) -> str:
+    """Return runs, rate, what was new in the last ten minutes, and failures so far."""
+    generations, new, recent_s = hunt.generations, 0, 0.0
+    for generation in reversed(generations):
+        if recent_s >= 600.0:
+            break
+        new += sum(map(len, generation.reached.values()))
+        recent_s += generation.wall_s
+    runs, wall_s = (sum(getattr(g, name) for g in generations) for name in ("runs", "wall_s"))
+    failures = sum(len(generation.failures) for generation in generations)
+    text = f"{counted(runs, 'run')}, {runs / max(wall_s, 1e-9):.1f} a second, {new} new transitions"
+    return (
+        f"{text} in the last {min(recent_s, 600.0) / 60.0:.0f} min, {counted(failures, 'failure')}"
+    )
 
 
 def _print(hunt: Hunt, files: dict[str, Any], result: dict[str, Any]) -> None:

@@ -48,8 +48,8 @@ class Progress:
         if self._shown:
             print("\r" + " " * len(self._shown), end="\r", file=sys.stderr, flush=True)
 
-    def __call__(self, done: float, size: float) -> None:
-        """Show that `done` of `size` is done, if it is time to."""
+    def __call__(self, done: float, size: float, note: str = "") -> None:
+        """Show that `done` of `size` is done, and a note, if it is time to."""
         now_s = time.monotonic()
         if self._first is None:  # of continued work some is done already
             self._first, self._began_s = done, now_s
@@ -60,6 +60,7 @@ class Progress:
         if done > self._first:
             rate = (done - self._first) / (now_s - self._began_s)
             text += f", {rate:.3g}{self._unit}/s, {(size - done) / rate:.0f} s left"
+        text += f"; {note}" if note else ""
         if sys.stderr.isatty():
             self._next_s = now_s + 0.1
             full = round(BAR_WIDTH * share)

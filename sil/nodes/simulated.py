@@ -198,21 +198,22 @@ class _Intrusion:
 
 
 class Drifting:
-    """A participant whose own clock advances by `1 + ppm / 10^6` s per simulated second.
+    """A participant whose own clock begins at `start_ns` and advances by `1 + ppm / 10^6` s per simulated second.
 
     Times are converted between the two clocks in whole numbers, so that a run repeats bit by bit.
     """
 
-    def __init__(self, participant: Participant, ppm: float) -> None:
+    def __init__(self, participant: Participant, ppm: float, start_ns: int = 0) -> None:
         self.name = participant.name
         self.close = participant.close
         self.inner = participant
         self._own = _BILLION + round(ppm * 1000)
+        self._start_ns = start_ns
         self._before_own_ns = self._next_own_ns = 0
 
     def start(self) -> int:
         """Return the simulated instant of its first event, ns."""
-        self._before_own_ns = self._next_own_ns = self.inner.start()
+        self._before_own_ns = self._next_own_ns = self._start_ns + self.inner.start()
         return self._simulated(self._next_own_ns)
 
     def advance(self, until_ns: int, deliveries: Received) -> Turn:
@@ -231,8 +232,8 @@ class Drifting:
         return frames, max(until_ns + 1, self._simulated(next_own_ns))
 
     def _own_ns(self, simulated_ns: int) -> int:
-        return simulated_ns * self._own // _BILLION
+        return self._start_ns + simulated_ns * self._own // _BILLION
 
     def _simulated(self, own_ns: int) -> int:
         """Return the first simulated ns at which the participant's clock shows `own_ns` or later."""
-        return -(-own_ns * _BILLION // self._own)
+        return -((self._start_ns - own_ns) * _BILLION // self._own)

@@ -15,6 +15,8 @@ from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import RunRecord
 
+SENDER = "controller"
+
 REPORT_HOLDS_S = 0.05
 """A status frame is valid for this long."""
 

@@ -21,7 +21,8 @@ class Circumstances:
 
     control: the firmware's settings. driver_timeout_s: of the valve driver. late_s: longest time that
     stated faults hold a frame back. sight_s: longest time until a motion of the stay shows in the
-    reports; infinite if a sensor may be wrong without looking so. repeated_s: age of repeated reports.
+    reports; infinite if a sensor may be wrong without looking so. true_samples: False if faults may
+    change or repeat position samples. repeated_s: age of repeated reports.
     down_s: intervals in which the controller is dead or cut off. disturbed: True if faults or loads of
     the bus may change, lose or hold back frames. slow_clock: seconds per second of the
     controller's clock.
@@ -31,6 +32,7 @@ class Circumstances:
     driver_timeout_s: float
     late_s: float = 0.0
     sight_s: float = math.inf
+    true_samples: bool = True
     repeated_s: float = 0.0
     down_s: tuple[tuple[float, float], ...] = ()
     disturbed: bool = False

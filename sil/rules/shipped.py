@@ -35,11 +35,11 @@ from can_dbc.messages import (
 from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import true_runs
-from sil.rules.reports import falsely_reported
+from sil.rules import inputs
+from sil.rules.reports import SENDER, accepted_status, falsely_reported
 from sil.rules.rule import Circumstances, Rule
 
-SENDER = "controller"
-
+PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
 UNDER_WAY = (ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.BLOW, ShiftState.VENT)
 
 Broken = tuple[float, str] | None
@@ -207,13 +207,31 @@ def _early_refusal(record: RunRecord, circumstances: Circumstances) -> Broken:
     return None
 
 
-def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
+def _too_many_attempts(record: RunRecord, circumstances: Circumstances) -> Broken:
+    if circumstances.disturbed:
+        return None
+    most = circumstances.control.shift.retries + 1
+    legs = {e.released_ns: c.target for e, c in record.each(ValveCommand) if e.sender == SENDER}
+    attempts, leg, before, pausing = 0, None, ShiftState.INIT, False
     for entry, status in record.each(ControllerStatus):
-        if (
-            entry.sender == SENDER
-            and Fault.INTERNAL in status.faults
-            and not circumstances.disturbed
-        ):
+        if status.state in PUSHING:
+            target = legs.get(entry.released_ns)
+            if target is not leg or not (before in PUSHING or pausing):
+                attempts = 1
+            elif before is ShiftState.VENT:
+                attempts += 1
+            leg = target
+            if attempts > most:
+                what = f"attempt {attempts} of a push begins; there are {most}"
+                return entry.released_ns / NS_PER_S, what
+        pausing = status.state is ShiftState.VENT and (pausing or before in PUSHING)
+        before = status.state
+    return None
+
+
+def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
+    for entry, status in accepted_status(record):
+        if status is not None and entry.sender == SENDER and Fault.INTERNAL in status.faults:
             return entry.released_ns / NS_PER_S, "the firmware caught an error of its own"
     return None
 
@@ -257,6 +275,36 @@ RULES = (
         _false_gear,
     ),
     Rule(
+        "blind_gear",
+        "No gear is confirmed when no position sample has been valid for the timeout of its channel.",
+        "controller.e2e.position_timeout_s; AUTOSAR PRS E2E Protocol",
+        inputs.blind_gear,
+    ),
+    Rule(
+        "unsampled_gear",
+        "A gear is confirmed after its number of samples in a row within its window, not before.",
+        "controller.windows.samples",
+        inputs.unsampled_gear,
+    ),
+    Rule(
+        "false_position",
+        "The position reported is near where the stay was within the time of sight.",
+        "thesis 2.2.4: position sensor and filter",
+        inputs.false_position,
+    ),
+    Rule(
+        "unrequested_push",
+        "No push begins out of rest when no request has been valid for the timeout of its channel.",
+        "controller.e2e.request_timeout_s; AUTOSAR PRS E2E Protocol",
+        inputs.unrequested_push,
+    ),
+    Rule(
+        "false_loss",
+        "Position and request are not reported lost while their frames arrive, nor before they can have come.",
+        "controller.e2e.startup_s; AUTOSAR PRS E2E Protocol",
+        inputs.false_loss,
+    ),
+    Rule(
         "opposed_chambers",
         "Backward and forward are not filled together, nor sooner after each other than the interlock.",
         "controller.shift.interlock_s",
@@ -279,6 +327,12 @@ RULES = (
         "No push is given up before all its attempts have timed out.",
         "controller.shift.push_timeout_s, controller.shift.retries",
         _early_refusal,
+    ),
+    Rule(
+        "too_many_attempts",
+        "No push is tried more often than its retries allow.",
+        "controller.shift.retries",
+        _too_many_attempts,
     ),
     Rule(
         "internal_fault",

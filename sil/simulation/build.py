@@ -161,8 +161,9 @@ def make_participant(name: str, loaded: Loaded, folder: Path | None) -> Particip
     unknown name, or if the participant refuses its settings.
     """
     participant = _on_time(name, loaded, folder)
-    ppm = getattr(loaded.scenario.clock, f"{name}_ppm", 0.0)
-    return participant if ppm == 0.0 else Drifting(participant, ppm)
+    clock = loaded.scenario.clock
+    ppm, start_s = (getattr(clock, f"{name}_{what}", 0.0) for what in ("ppm", "start_s"))
+    return Drifting(participant, ppm, round(start_s * 1e9)) if ppm or start_s else participant
 
 
 def _on_time(name: str, loaded: Loaded, folder: Path | None) -> Participant:

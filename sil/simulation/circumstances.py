@@ -17,12 +17,15 @@ def circumstances(scenario: Scenario) -> Circumstances:
     faults = scenario.fault
     kinds = [fault.kind for fault in scenario.sensor_fault]
     kinds += [fault.kind for fault in scenario.temperature_fault]
+    repeats = any(isinstance(f, Replayed) and f.message == "PositionPulse" for f in faults)
     lies = "wrong" in kinds or "stuck" in kinds
     return Circumstances(
         control=scenario.controller,
         driver_timeout_s=scenario.valve_driver.timeout_s,
         late_s=_stated_delays_s(scenario),
         sight_s=math.inf if lies else sight_s(scenario),
+        true_samples=not (scenario.temperature_fault or repeats)
+        and {"off", "slow", "intermittent"}.issuperset(kinds),
         repeated_s=max(
             (
                 fault.delay_s

@@ -20,7 +20,7 @@ from can_dbc.messages import (
 from plant.devices.conditions import ChamberName
 from sil.files.quantity import unit_of
 from sil.recording.run_record import CHAMBERS, RunRecord
-from sil.rules.rule import Circumstances, Violation, violations
+from sil.rules.rule import Circumstances, Rule, Violation, violations
 from sil.rules.shipped import RULES
 from sil.simulation.metrics import METRICS, Shift, gear_at
 from sil.simulation.results import Check
@@ -116,8 +116,11 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class Observed:
     """What the expectations need of a run, collected piece by piece in order of time."""
 
-    def __init__(self, circumstances: Circumstances, *records: RunRecord) -> None:
+    def __init__(
+        self, circumstances: Circumstances, *records: RunRecord, rules: Sequence[Rule] = RULES
+    ) -> None:
         self._circumstances = circumstances
+        self._rules = rules
         self.violations: dict[str, Violation] = {}
         self.stroke_m = math.nan
         self.counts: dict[type, int] = dict.fromkeys(
@@ -149,7 +152,7 @@ class Observed:
             self.faults |= message.faults
             if message.state.name not in self.visited:
                 self.visited.append(message.state.name)
-        for violation in violations(record, self._circumstances, RULES):
+        for violation in violations(record, self._circumstances, self._rules):
             self.violations.setdefault(violation.rule, violation)
 
 

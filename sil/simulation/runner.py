@@ -6,7 +6,7 @@ import contextlib
 import json
 import re
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +40,8 @@ from sil.recording.recorder import (
 from sil.recording.run_reader import RunReader
 from sil.recording.run_record import RunRecord
 from sil.recording.trace_csv import TraceCsv
+from sil.rules import Rule
+from sil.rules.shipped import RULES
 from sil.simulation import build, expectations, metrics
 from sil.simulation.build import SCENARIO, SENDERS, Say
 from sil.simulation.bus_figures import bus_figures, overload, response_check
@@ -75,11 +77,13 @@ def run(
     speed: float | None = None,
     free_running: bool = False,
     external: Collection[str] = (),
+    rules: Sequence[Rule] = RULES,
     say: Say = lambda message: None,
 ) -> Finished:
     """Run a scenario into an empty folder and write everything but pictures there.
 
-    `speed`: simulated seconds per wall second of a paced lockstep; None: as fast as possible.
+    `speed`: simulated seconds per wall second of a paced lockstep; None: as fast as possible. `rules`:
+    what the run is held to.
     `free_running`: no lockstep, every node runs by its own clock on a real transport. A run
     that a participant ends early is written too, marked incomplete with the reason; result.json is
     written before the run begins, so that even a killed run is marked as incomplete.
@@ -147,7 +151,7 @@ def run(
     lines = source.warnings if source is not None and summary is not None else []
     for warning in (*lines, *(f"warning: {line}" for line in base.warnings)):
         say(warning)
-    finished = _judge(loaded, folder, base, why, log, bus_result, summary, begun)
+    finished = _judge(loaded, folder, base, why, log, bus_result, summary, begun, rules)
     if interrupt is not None:
         raise interrupt
     return finished
@@ -241,6 +245,7 @@ def _judge(
     bus: dict[str, Any],
     summary: RunSummary | None,
     begun: float,
+    rules: Sequence[Rule] = RULES,
 ) -> Finished:
     """Compute metrics and checks from the recorded run; write result.json and trace.csv."""
     scenario = loaded.scenario
@@ -255,7 +260,7 @@ def _judge(
         if recorded is not None:
             try:
                 observed, shifts, switchings, checked = _figures(
-                    scenario, recorded, folder / "trace.csv"
+                    scenario, rules, recorded, folder / "trace.csv"
                 )
             except OSError as error:  # no room for trace.csv: plant.trace stays instead
                 recorded, why = None, why or os_error_text(error)
@@ -318,10 +323,10 @@ def _reader(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunR
 
 
 def _figures(
-    scenario: Scenario, recorded: RunReader, path: Path
+    scenario: Scenario, rules: Sequence[Rule], recorded: RunReader, path: Path
 ) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
     """Write the trace of a run, and collect observations and shifts, piece by piece."""
-    observed = expectations.Observed(circumstances(scenario))
+    observed = expectations.Observed(circumstances(scenario), rules=rules)
     gear = build.gear_of(scenario.initial_gear)
     changes: list[tuple[float, Gear, Gear]] = []
     switchings = 0

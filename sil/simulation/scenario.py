@@ -80,12 +80,15 @@ class FirmwareTable(_Table, frozen=True, kw_only=True):
 
 
 class ClockTable(_Table, frozen=True, kw_only=True):
-    """Clocks that run faster or slower than simulated time."""
+    """Clocks that run faster or slower than simulated time, or that have run before."""
 
     controller_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
     """How much faster than simulated time the controller's clock runs, in millionths."""
     driver_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
     """The same for the driver's clock."""
+    controller_start_s: Annotated[float, Meta(ge=0.0, le=1e7)] = 0.0
+    """What the controller's clock shows at the start of the run, as counters of milliseconds or
+    microseconds may overflow."""
 
 
 class Scenario(_Table, frozen=True, kw_only=True):

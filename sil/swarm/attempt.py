@@ -40,19 +40,20 @@ def attempt(table: Mapping[str, Any], rules: Sequence[Rule]) -> Attempt:
         return Attempt(refused=str(error))
     except RunError as error:
         return Attempt(violations=[Violation("runs_to_the_end", 0.0, str(error))])
-    transitions, reached = _reached(record, loaded.scenario)
+    transitions, new = reached(record, loaded.scenario)
     broken = violations(record, circumstances(loaded.scenario), rules)
-    return Attempt(violations=broken, transitions=transitions, reached=sorted(reached))
+    return Attempt(violations=broken, transitions=transitions, reached=sorted(new))
 
 
-def _reached(record: RunRecord, scenario: Scenario) -> tuple[dict[str, int], set[str]]:
+def reached(record: RunRecord, scenario: Scenario) -> tuple[dict[str, int], set[str]]:
+    """Return how often each change of state was reported, and what was reached, as in an Attempt."""
     windows = [
         (f"{name}.{getattr(fault, 'kind', None) or fault.__struct_config__.tag}", fault)
         for name in FAULT_TABLES
         for fault in getattr(scenario, name)
     ]
     transitions: dict[str, int] = {}
-    reached: set[str] = set()
+    pairs: set[str] = set()
     before, faults_before = ShiftState.INIT, Fault.NONE
     for entry, status in record.each(ControllerStatus):
         if entry.sender != "controller":
@@ -65,6 +66,6 @@ def _reached(record: RunRecord, scenario: Scenario) -> tuple[dict[str, int], set
             transitions[name] = transitions.get(name, 0) + 1
             events.append(name)
         events += [f.name or "" for f in Fault if f and f in status.faults & ~faults_before]
-        reached.update(f"{event} | {fault}" for event in events for fault in acting)
+        pairs.update(f"{event} | {fault}" for event in events for fault in acting)
         before, faults_before = status.state, status.faults
-    return transitions, reached
+    return transitions, pairs

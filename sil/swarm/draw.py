@@ -16,23 +16,31 @@ from sil.swarm.vocabulary import state, vocabulary
 Table = dict[str, Any]
 GEARS = ("neutral", "backward", "forward")
 
+SUPPLIES_PA = ((1.2e5, 3e5), (4e5, 1e6), (4e5, 1e6))
+"""Too low for most shifts, and usual."""
+
+OVERFLOWS_S = (2**31 * 1e-6, 2**32 * 1e-6, 2**31 * 1e-3, 2**32 * 1e-3)
+"""When 32-bit counters of microseconds and of milliseconds overflow."""
+
 SETTINGS: dict[str, tuple[Any, ...]] = {
-    "period_s": (0.0025, 0.005, 0.01),
-    "filter": (False, True),
-    "windows": ({"samples": 1}, {"samples": 4}, {}),
-    "blow": ({"duration_s": 0.0}, {"duration_s": 0.05}, {"cut": "none"}, {"cut": "confirmation"}),
-    "shift": (
-        {"push_timeout_s": 0.2, "retries": 0},
-        {"push_timeout_s": 0.2, "retries": 1, "retry_pause_s": 0.02},
-        {"push_timeout_s": 0.15, "no_motion_s": 0.1},
-        {"wait_for_sync": True, "sync_wait_s": 0.1, "push_timeout_s": 0.3},
-        {"hold_s": 0.0, "vent_s": 0.0, "push_timeout_s": 0.3},
-        {"vent_s": 0.5, "push_timeout_s": 0.3},
-        {"interlock_s": 0.4, "reversal_settle_s": 0.0},
-    ),
-    "strategy": ("blow_cut", "air_cushion", "sliding_mode", "synchro_brake", "bang_bang"),
+    "period_s": (0.0025, 0.005),
+    "filter": (False,),
+    "windows.samples": (1, 4),
+    "blow.duration_s": (0.0, 0.05),
+    "blow.cut": ("none", "confirmation"),
+    "shift.push_timeout_s": (0.15, 0.2, 0.3),
+    "shift.retries": (0, 1, 2),
+    "shift.retry_pause_s": (0.0, 0.02, 0.3),
+    "shift.no_motion_s": (0.1,),
+    "shift.wait_for_sync": (True,),
+    "shift.sync_wait_s": (0.1, 0.4),
+    "shift.hold_s": (0.0, 0.3),
+    "shift.vent_s": (0.0, 0.3),
+    "shift.interlock_s": (0.0, 0.3, 0.6),
+    "shift.reversal_settle_s": (0.0, 0.3),
+    "strategy": ("blow_cut", "air_cushion", "sliding_mode", "synchro_brake"),
 }
-"""Settings of the firmware that change its sequence; short limits reach more of it in the same time."""
+"""Settings of the firmware that change its sequence, with values at which it takes other ways."""
 
 
 def new_table(rng: random.Random, base: Mapping[str, Any]) -> Table:
@@ -43,14 +51,15 @@ def new_table(rng: random.Random, base: Mapping[str, Any]) -> Table:
     table["trace_period_s"] = 0.001
     table["initial_gear"] = rng.choice(GEARS)
     table["request"] = []
-    for _ in range(rng.choice([1, 1, 2, 3, 4])):
+    _add_request(table, rng, rng.uniform(0.0, 0.4))
+    for _ in range(rng.choice([0, 1, 2, 3])):
         _add_request(table, rng)
     table["plant"] = {
         **table.get("plant", {}),
         "mounted": rng.random() < 0.7,
         "mesh_force_n": round(rng.uniform(0.0, 1300.0)),
         "pull_force_n": round(rng.uniform(0.0, 1100.0)),
-        "supply_pressure_pa": round(rng.uniform(2.5e5, 1e6), -3),
+        "supply_pressure_pa": round(rng.uniform(*rng.choice(SUPPLIES_PA)), -3),
     }
     table["driveline"] = table.get("driveline", {}) | {
         f"impulse_{gear}_n_s": rng.choice([0.0, 18.0, 78.0, 250.0])
@@ -58,8 +67,12 @@ def new_table(rng: random.Random, base: Mapping[str, Any]) -> Table:
     }
     for _ in range(rng.choice([0, 1, 1, 2, 3])):
         _add_fault(table, rng)
-    for _ in range(rng.choice([0, 0, 1, 2])):
-        _change_setting(table, rng)
+    if rng.random() < 0.1:
+        _start_clock(table, rng)
+    if rng.random() < 0.6:  # a push that fails soon leaves time for what follows
+        _set(table, "shift.push_timeout_s", rng)
+    for _ in range(rng.choice([0, 1, 3, 6])):
+        _set(table, rng.choice(list(SETTINGS)), rng)
     return table
 
 
@@ -71,12 +84,19 @@ def neighbour(rng: random.Random, table: Mapping[str, Any]) -> Table:
     return changed
 
 
-def _add_request(table: Table, rng: random.Random) -> None:
-    at_s = round(rng.uniform(0.02, table["duration_s"] - 0.05), 3)
-    taken = {request["at_s"] for request in table["request"]}
-    if at_s not in taken:
-        table["request"].append({"at_s": at_s, "gear": rng.choice(GEARS)})
-        table["request"].sort(key=lambda request: request["at_s"])
+def _add_request(table: Table, rng: random.Random, at_s: float | None = None) -> None:
+    """Add a request for another gear: any time, or while the one before it is still served."""
+    requests, end_s = table["request"], table["duration_s"] - 0.05
+    if at_s is None:
+        at_s = rng.uniform(0.02, end_s)
+        if requests and rng.random() < 0.6:
+            at_s = rng.choice(requests)["at_s"] + rng.uniform(0.0, rng.choice([0.15, 0.8]))
+    at_s = round(at_s, 3)
+    if at_s < end_s and all(request["at_s"] != at_s for request in requests):
+        before = [request["gear"] for request in requests if request["at_s"] < at_s]
+        last = before[-1] if before else table["initial_gear"]
+        requests.append({"at_s": at_s, "gear": rng.choice([g for g in GEARS if g != last])})
+        requests.sort(key=lambda request: request["at_s"])
 
 
 def _move_request(table: Table, rng: random.Random) -> None:
@@ -110,9 +130,21 @@ def _move_fault(table: Table, rng: random.Random) -> None:
             fault[key] = round(fault[key] + by_s, 4)
 
 
+def _set(table: Table, path: str, rng: random.Random) -> None:
+    part, _, name = path.rpartition(".")
+    controller = table.setdefault("controller", {})
+    within = controller.setdefault(part, {}) if part else controller
+    within[name] = rng.choice(SETTINGS[path])
+
+
 def _change_setting(table: Table, rng: random.Random) -> None:
-    name = rng.choice(list(SETTINGS))
-    table.setdefault("controller", {})[name] = copy.deepcopy(rng.choice(SETTINGS[name]))
+    _set(table, rng.choice(list(SETTINGS)), rng)
+
+
+def _start_clock(table: Table, rng: random.Random) -> None:
+    """Let a counter of the firmware overflow within the run."""
+    start_s = rng.choice(OVERFLOWS_S) - rng.uniform(0.0, table["duration_s"])
+    table.setdefault("clock", {})["controller_start_s"] = round(start_s, 3)
 
 
 def _lengthen(table: Table, rng: random.Random) -> None:
@@ -125,5 +157,5 @@ def _reseed(table: Table, rng: random.Random) -> None:
 
 _MOVES = (
     *(_add_fault, _add_fault, _drop_fault, _move_fault, _add_request, _move_request),
-    *(_change_setting, _lengthen, _reseed),
+    *(_change_setting, _start_clock, _lengthen, _reseed),
 )

@@ -59,6 +59,10 @@ def _simpler(
             yield {key: value for key, value in table.items() if key != name}
             for key in table[name]:
                 yield _with(table, name, {k: v for k, v in table[name].items() if k != key})
+            for key, part in table[name].items():
+                for inner in part if isinstance(part, dict) else ():
+                    rest = {k: v for k, v in part.items() if k != inner}
+                    yield _with(table, name, {**table[name], key: rest})
     yield {**table, "seed": 1}
     for name in ROWS:
         for index, row in enumerate(table.get(name, ())):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import random
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -109,9 +109,10 @@ def struct_of(fault: Fault) -> Any:
     return next(t for t in typing.get_args(BusFault) if t.__struct_config__.tag == fault.kind)
 
 
-def window(rng: random.Random) -> dict[str, float]:
-    """When a fault acts: from the start, or from some moment around the shift; for good or not."""
-    start = rng.choice([0.0, rng.uniform(0.05, 0.5)])
+def window(rng: random.Random, requests_s: Sequence[float]) -> dict[str, float]:
+    """When a fault acts: from the start, or from some moment around a shift; for good or not."""
+    start = max(0.0, rng.choice([0.0, *requests_s]) + rng.uniform(-0.05, 0.6))
+    start = rng.choice([0.0, start, start])
     if rng.random() < 0.5:
         return {"start_s": round(start, 4)}
     return {"start_s": round(start, 4), "end_s": round(start + rng.uniform(0.01, 0.5), 4)}
@@ -134,7 +135,10 @@ def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
         load = {"extra_load": round(rng.uniform(0.2, 1.5), 3), "extra_priority": rng.randint(0, 7)}
         table.setdefault("bus", {}).update(load, send_buffer=32)
         return
-    stated: dict[str, Any] = {"kind": fault.kind, **window(rng)}
+    stated: dict[str, Any] = {
+        "kind": fault.kind,
+        **window(rng, [request["at_s"] for request in table["request"]]),
+    }
     names = [f.name for f in msgspec.structs.fields(struct_of(fault))]
     for place in ("message", "node", "valve"):
         if place in names:

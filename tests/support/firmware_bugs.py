@@ -1,16 +1,22 @@
-"""Ten bugs of a firmware, as changes of the shipped one's source, for what is to find them."""
+"""Bugs in the firmware in C, for what is to find them: ten known kinds, and mutants that a seed draws."""
 
 from __future__ import annotations
 
+import random
+import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.conftest import ROOT
+from sil.firmware.contract import header
+from sil.firmware.load import SHIPPED_IN_C
+
+MUTANT_SEED = 40
 
 
 class Bug(NamedTuple):
-    """A text of a source file, and what stands there with the bug."""
+    """A text of a source file that occurs once there, and what it is replaced by."""
 
     file: str
     right: str
@@ -19,66 +25,88 @@ class Bug(NamedTuple):
 
 BUGS = {
     "timeout_off_by_one": Bug(
-        "controller/shift.py",
-        "elif self.attempt < self._retries:",
-        "elif self.attempt <= self._retries:",
+        "shift.h",
+        "machine.attempt < settings->shift.retries",
+        "machine.attempt <= settings->shift.retries",
     ),
-    "counter_not_reset": Bug(
-        "controller/shift.py",
-        "        self.leg = leg\n        self.attempt = 0\n",
-        "        self.leg = leg\n",
+    "counter_not_reset_after_an_abort": Bug("shift.h", "    machine.attempt = 0;\n", ""),
+    "interlock_lost_in_one_direction": Bug(
+        "opc4.c",
+        "return !unit.has_been_filled[chamber] ||",
+        "return chamber == OPC4_CHAMBER_B || !unit.has_been_filled[chamber] ||",
     ),
-    "interlock_lost": Bug(
-        "controller/interlock.py",
-        "return last_ns is None or now_ns - last_ns >= self._apart_ns",
-        "return last_ns is None or now_ns > last_ns",
-    ),
-    "window_includes_its_limit": Bug(
-        "controller/position.py",
-        "if position_m >= self._engaged_m:",
-        "if position_m > self._engaged_m:",
+    "window_without_its_limit": Bug(
+        "position.h",
+        "absolute(position_m) <= settings->windows.neutral_tolerance_m",
+        "absolute(position_m) < settings->windows.neutral_tolerance_m",
     ),
     "milliseconds_overflow": Bug(
-        "controller/shift.py",
-        "        self.event = None\n        self.raised = Fault.NONE\n        if not",
-        "        now_ns %= 2_048_000_000\n        self.event = None\n        self.raised = Fault.NONE\n        if not",
+        "opc4.c",
+        "const int64_t now_ns = fw_in.now_ns;",
+        "const int64_t now_ns = (int64_t)(uint32_t)(fw_in.now_ns / 1000000) * 1000000;",
     ),
     "filter_not_reset": Bug(
-        "controller/position.py",
-        "        if self._filter is not None:\n            self._filter.settle(raw_m)\n        self._settled = True",
-        "        if self._filter is not None and not self._index:\n            self._filter.settle(raw_m)\n        self._settled = True",
+        "position.h",
+        "if (settings->filter.enabled != 0)\n        filter_settle(raw_m);",
+        "if (settings->filter.enabled != 0 && position.index == 0)\n        filter_settle(raw_m);",
     ),
-    "stale_sample_used": Bug(
-        "controller/firmware.py",
-        "estimate = self._estimator.update(inputs.pulses, not valid)",
-        "estimate = self._estimator.update(inputs.pulses, False)",
+    "stale_sample_used_after_bus_off": Bug(
+        "opc4.c",
+        "position_update(unit.pulses, unit.pulse_count, !is_valid);",
+        "position_update(unit.pulses, unit.pulse_count, false);",
     ),
     "request_lost_while_venting": Bug(
-        "controller/shift.py",
-        "        self._confirm_again(observed, self.leg)\n        if not self._serve(now_ns, observed) and now_ns >= self._until_ns:\n            self._change(Event.VENT_OVER)",
-        "        self._confirm_again(observed, self.leg)\n        self._served = observed.requested\n        if now_ns >= self._until_ns:\n            self._change(Event.VENT_OVER)",
+        "shift.h",
+        "if (!serve(seen) && seen->now_ns >= machine.until_ns)\n        change(VENT_OVER);",
+        "machine.served = seen->requested;\n    if (seen->now_ns >= machine.until_ns)\n        change(VENT_OVER);",
     ),
     "repeated_counter_accepted": Bug(
-        "can_dbc/e2e.py",
-        "ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))",
-        "ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST, E2eStatus.REPEATED))",
+        "opc4.h",
+        "        return OPC4_E2E_REPEATED;",
+        "        return OPC4_E2E_OK;",
     ),
     "debounce_from_the_wrong_start": Bug(
-        "controller/position.py",
-        "self.run = self.run + 1 if gear == self.gear else 1",
-        "self.run = self.run + 1",
+        "position.h",
+        "position.run = gear == position.gear ? position.run + 1 : 1;",
+        "position.run = position.run + 1;",
     ),
 }
 
 
-def with_bug(name: str, folder: Path) -> Path:
-    """A checkout with this bug in its firmware; `folder` is made."""
-    for package in ("controller", "can_dbc"):
-        shutil.copytree(
-            ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")
+def mutants(count: int = 10, seed: int = MUTANT_SEED) -> dict[str, Bug]:
+    """Mutants of the state machine in C: drawn among all places, each another one."""
+    text = (SHIPPED_IN_C.parent / "shift.h").read_text()
+    places = list(_places(text))
+    drawn = random.Random(seed).sample(places, count)
+    return {
+        f"mutant {k + 1}: {text.count(chr(10), 0, start) + 1}: {text[start:end].strip()} -> {other.strip() or 'nothing'}": Bug(
+            "shift.h", text, text[:start] + other + text[end:]
         )
-    bug = BUGS[name]
+        for k, (start, end, other) in enumerate(drawn)
+    }
+
+
+def _places(text: str) -> Iterator[tuple[int, int, str]]:
+    """Begin, end and replacement of each mutation: relations, constants, assignments, conditions."""
+    begin = text.index("static bool is_in(")
+    relations = {"<=": "<", ">=": ">", "==": "!=", "!=": "==", "<": "<=", ">": ">="}
+    for found in re.finditer(r" (<=|>=|==|!=|<|>) ", text[begin:]):
+        start = begin + found.start(1)
+        yield start, begin + found.end(1), relations[found[1]]
+    for found in re.finditer(r"(?<=[ (-])\d+(?=[,;) ])", text[begin:]):
+        for change in (-1, 1):
+            yield begin + found.start(), begin + found.end(), str(int(found[0]) + change)
+    for found in re.finditer(r"\n +machine\.\w+( = machine\.\w+)* \+?= [^;]+;", text[begin:]):
+        yield begin + found.start(), begin + found.end(), ""
+    for found in re.finditer(r"\n +(?:\} else )?if \((.+)\)(?: \{)?\n", text[begin:]):
+        yield begin + found.start(1), begin + found.end(1), f"!({found[1]})"
+
+
+def with_bug(bug: Bug, folder: Path) -> Path:
+    """The source of the firmware with this bug; its folder is made, opc4.h beside it."""
+    shutil.copytree(SHIPPED_IN_C.parent, folder)
+    (folder / "opc4.h").write_text(header())
     source = (folder / bug.file).read_text()
-    assert source.count(bug.right) == 1, (name, source.count(bug.right))
+    assert source.count(bug.right) == 1, (bug, source.count(bug.right))
     (folder / bug.file).write_text(source.replace(bug.right, bug.wrong))
-    return folder
+    return folder / SHIPPED_IN_C.name

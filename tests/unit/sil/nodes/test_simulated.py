@@ -92,6 +92,16 @@ def test_a_drifting_node_that_stood_still_wakes_at_a_tick_of_its_own() -> None:
     assert len(frames) == 1 and following - late == pytest.approx(20 * MS / 1.001, abs=10)
 
 
+def test_a_clock_that_has_run_before() -> None:
+    ticks = []
+    for start_ns in (0, 1000 * MS):
+        node = Drifting(DriverNode(Gear.NEUTRAL, [], 20 * MS), -50.0, start_ns)
+        first = node.start()
+        (frame,), second = node.advance(first, [])
+        ticks.append((first, frame[0], second))
+    assert ticks[0] == ticks[1] == (0, 0, 20_001_001)
+
+
 def test_what_the_checks_of_the_frames_found_is_counted() -> None:
     sender = Protector(ShiftRequest)
     good = [sender.protect(ShiftRequest(Gear.NEUTRAL)) for _ in range(6)]

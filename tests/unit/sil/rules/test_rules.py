@@ -63,7 +63,7 @@ def test_a_coil_that_outlives_the_controller() -> None:
 def test_a_gear_that_the_stay_is_not_in() -> None:
     record = healthy().record
     still = dict(record.truth) | {"position_m": np.zeros_like(record.truth["position_m"])}
-    assert broken(dataclasses.replace(record, truth=still)) == ["false_gear"]
+    assert broken(dataclasses.replace(record, truth=still)) == ["false_gear", "false_position"]
 
 
 @pytest.mark.parametrize("at_s", [0.3, 0.16])
@@ -95,6 +95,14 @@ def test_a_push_that_is_given_up_too_early() -> None:
         return failed if time_s > 0.14 else status
 
     assert broken(sent_otherwise(ControllerStatus, gives_up)) == ["early_refusal"]
+
+
+def test_a_push_that_is_tried_once_more() -> None:
+    def pauses(time_s: float, status: ControllerStatus) -> ControllerStatus:
+        vents = 0.12 < time_s < 0.13
+        return dataclasses.replace(status, state=ShiftState.VENT) if vents else status
+
+    assert broken(sent_otherwise(ControllerStatus, pauses)) == ["too_many_attempts"]
 
 
 def test_a_fault_that_only_an_error_can_raise() -> None:

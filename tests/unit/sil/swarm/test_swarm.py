@@ -13,13 +13,16 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil import cli
+from sil.cli.swarm import news
 from sil.files.worker import in_turn
+from sil.firmware.load import SHIPPED_IN_C
 from sil.rules.shipped import RULES
+from sil.rules.user_file import load_rules
 from sil.simulation.load_scenario import from_table
 from sil.swarm.draw import neighbour, new_table
 from sil.swarm.hunt import SWARM_FILE, Hunt, stored_generations
 from sil.swarm.shrink import shrink
-from tests.support.firmware_bugs import BUGS, with_bug
+from tests.support.firmware_bugs import BUGS, mutants, with_bug
 
 BASE: dict[str, Any] = {"name": "swarm", "duration_s": 1.0, "request": []}
 
@@ -120,27 +123,65 @@ def test_wrong_arguments_end_in_one_line(
 
 
 @pytest.mark.slow
+def test_a_cluster_interruptions_and_two_workers_make_no_difference(tmp_path: Path) -> None:
+    """Rules of one's own and a firmware in C included; broken in every generation."""
+    from distributed import LocalCluster
+
+    file = tmp_path / "rules.py"
+    file.write_text(
+        "from sil.rules import Rule\n"
+        "RULES = [Rule('no_fault', 'No fault.', 'me', lambda record, c: next("
+        "((e.time_s, e.name) for e in record.events if e.name == 'stay_stop'), None))]\n"
+    )
+    base = BASE | {"firmware": str(SHIPPED_IN_C)}
+
+    def hunt() -> Hunt:
+        return Hunt(base, 5, load_rules(str(file)), size=8)
+
+    whole = hunted(1, 2, hunt())
+    assert [failure.rule for g in whole.generations for failure in g.failures][:1] == ["no_fault"]
+    assert comparable(hunted(2, 2, hunt())) == comparable(whole)
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        runner = partial(in_turn, cluster=cluster.scheduler_address)
+        spread = hunt()
+        spread.add(whole.generations[0])
+        list(spread.run(runner, 16, None))
+    assert comparable(spread) == comparable(whole)
+
+
+@pytest.mark.slow
 def test_a_bug_is_found_and_fails_by_itself(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    firmware = with_bug("timeout_off_by_one", tmp_path / "firmware")
+    firmware = with_bug(BUGS["timeout_off_by_one"], tmp_path / "firmware")
     out = tmp_path / "out"
     command = ["swarm", str(firmware), "--runs", "256", "--workers", "2", "--out", str(out)]
     assert cli.main(command) == 1
-    assert "unanswered_request" in capsys.readouterr().out
-    (file,) = (out / "failures").glob("*.toml")
+    assert "too_many_attempts" in capsys.readouterr().out
+    file = next((out / "failures").glob("too_many_attempts_*.toml"))
     assert file.with_suffix(".png").exists() and (out / "report.html").exists()
     run = ["run", str(file), "--no-report", "--out", str(tmp_path / "run")]
     assert cli.main(run) == 1
     assert "rules broken" in capsys.readouterr().out
-    text = file.read_text().replace(str(firmware), "")
+    text = file.read_text().replace(str(firmware), "c")
     (tmp_path / "mended.toml").write_text(text)
     mended = ["run", str(tmp_path / "mended.toml"), "--no-report", "--out", str(tmp_path / "run2")]
     assert cli.main(mended) == 0
 
 
-def test_every_bug_is_one_change_of_the_source(tmp_path: Path) -> None:
-    for name, bug in BUGS.items():
-        changed = (with_bug(name, tmp_path / name) / bug.file).read_text()
-        compile(changed, bug.file, "exec")
-        assert bug.wrong in changed
+def test_progress_says_what_is_new(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    hunt = hunted(1, 1)
+    new = sum(len(features) for features in hunt.generations[0].reached.values())
+    text = news(hunt)
+    assert text.startswith("8 runs, ") and text.endswith("0 failures")
+    assert f"{new} new transitions in the last" in text
+
+
+def test_every_bug_and_mutant_is_a_change_of_the_source(tmp_path: Path) -> None:
+    changes = {**BUGS, **mutants()}
+    assert len(changes) == 20 and len(set(changes.values())) == 20
+    for number, bug in enumerate(changes.values()):
+        changed = with_bug(bug, tmp_path / str(number)).parent / bug.file
+        assert bug.wrong in changed.read_text() and bug.wrong != bug.right

@@ -1,0 +1,209 @@
+"""What the firmware may conclude from the frames that it received.
+
+An independent receiver takes the same frames; a report is judged by what had arrived at its step.
+
+Checked by: tests/unit/sil/rules/test_inputs.py
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from can_dbc.codec import can_id_of
+from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
+from can_dbc.messages import (
+    ControllerStatus,
+    E2eState,
+    Fault,
+    Gear,
+    PositionPulse,
+    ShiftRequest,
+    ShiftState,
+)
+from controller.settings import SensorConfig, WindowConfig
+from sil.coupling.clock import NS_PER_S
+from sil.recording.run_record import RunRecord
+from sil.rules.reports import SENDER, accepted_status
+from sil.rules.rule import Circumstances
+
+Broken = tuple[float, str] | None
+
+UNSEEN = Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A report of the controller, and what it could know when it made it."""
+
+    at_s: float
+    status: ControllerStatus
+    arrived: list[Any]
+    """The messages that have been accepted since the report before."""
+    valid_s: float
+    """When the channel was valid last."""
+
+
+def _steps(
+    record: RunRecord, circumstances: Circumstances, channel: Receiver[Any]
+) -> Iterator[_Step]:
+    frames = list(record.frames_of(can_id_of(channel.message_type)))
+    computation_ns = circumstances.control.computation_ns * circumstances.slow_clock
+    reports = [
+        (round(entry.released_ns - computation_ns), status)
+        for entry, status in accepted_status(record)
+        if status is not None and entry.sender == SENDER
+    ]
+    valid_s = (
+        _begin_s(record) + 0.05
+    )  # the record may be a piece of a run: until frames have followed each other
+    taken = 0
+    for at_ns, status in sorted(reports, key=lambda report: report[0]):
+        arrived = []
+        while taken < len(frames) and frames[taken].arrival_ns <= at_ns:
+            if channel.receive(frames[taken].arrival_ns, frames[taken].frame) in ACCEPTED:
+                arrived.append(channel.message)
+            taken += 1
+        if channel.state(max(at_ns, 0)) is E2eState.VALID:
+            valid_s = max(valid_s, at_ns / NS_PER_S)
+        yield _Step(at_ns / NS_PER_S, status, arrived, valid_s)
+
+
+def _begin_s(record: RunRecord) -> float:
+    return float(record.truth["time_s"][0]) if len(record.truth["time_s"]) else 0.0
+
+
+def _positions(record: RunRecord, circumstances: Circumstances) -> Iterator[_Step]:
+    timeout_s = circumstances.control.e2e.position_timeout_s * circumstances.slow_clock
+    channel = Receiver(PositionPulse, E2eConfig(timeout_ns=round(timeout_s * NS_PER_S)))
+    return _steps(record, circumstances, channel)
+
+
+def _requests(record: RunRecord, circumstances: Circumstances) -> Iterator[_Step]:
+    timeout_s = circumstances.control.e2e.request_timeout_s * circumstances.slow_clock
+    channel = Receiver(ShiftRequest, E2eConfig(timeout_ns=round(timeout_s * NS_PER_S)))
+    return _steps(record, circumstances, channel)
+
+
+def _grace_s(circumstances: Circumstances) -> float:
+    """Return how much later in s than the channel's end the firmware may notice it."""
+    return 2.0 * circumstances.control.period_s * circumstances.slow_clock + 0.005
+
+
+def blind_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Return the first report of a gear without valid position samples."""
+    for step in _positions(record, circumstances):
+        blind_s = step.at_s - step.valid_s
+        if step.status.confirmed != Gear.UNKNOWN and blind_s > _grace_s(circumstances):
+            gear = step.status.confirmed.name.lower()
+            what = (
+                f"{gear} is confirmed {1e3 * blind_s:.0f} ms after the last valid position sample"
+            )
+            return step.at_s, what
+    return None
+
+
+def unrequested_push(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Return the first push out of rest without a valid request for another gear."""
+    before: _Step | None = None
+    for step in _requests(record, circumstances):
+        rested = before is not None and before.status.state is ShiftState.IDLE
+        if rested and step.status.state is ShiftState.PUSH:
+            deaf_s = step.at_s - step.valid_s
+            if deaf_s > _grace_s(circumstances):
+                what = f"a push begins {1e3 * deaf_s:.0f} ms after the last valid request"
+                return step.at_s, what
+        before = step
+    return None
+
+
+def false_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Return the first report of a lost channel that is valid, or that the firmware still waits for."""
+    if circumstances.disturbed or not circumstances.true_samples:
+        return None
+    grace_s = _grace_s(circumstances)
+    startup_s = circumstances.control.e2e.startup_s * circumstances.slow_clock - grace_s
+    for fault, steps in (
+        (Fault.POSITION_LOST, _positions(record, circumstances)),
+        (Fault.REQUEST_LOST, _requests(record, circumstances)),
+    ):
+        since_s, before = math.inf, Fault.NONE
+        waits = _begin_s(record) == 0.0
+        for step in steps:
+            valid = step.valid_s == step.at_s
+            waits = waits and not valid and step.at_s < startup_s
+            since_s = min(since_s, step.at_s) if valid else math.inf
+            begins = fault in step.status.faults & ~before  # afterwards it may be latched
+            if begins and (waits or step.at_s - since_s > grace_s):
+                return step.at_s, f"{fault.name} is reported while the frames of the channel arrive"
+            before = step.status.faults
+    return None
+
+
+def unsampled_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Return the first gear that is confirmed without samples in a row within its window."""
+    control = circumstances.control
+    if circumstances.disturbed or not circumstances.true_samples or control.ns_per_instruction:
+        return None
+    windows, wanted = control.windows, control.windows.samples
+    run, window, confirmed = 0, Gear.UNKNOWN, None
+    for step in _positions(record, circumstances):
+        for pulse in step.arrived:
+            gear = _window_of(_measured_m(pulse, control.sensor), windows)
+            run, window = (run + 1 if gear is window else 1), gear
+        gear = step.status.confirmed
+        if confirmed is not None and gear not in (confirmed, Gear.UNKNOWN):
+            in_row = run if gear is window else 0
+            if in_row < wanted:
+                what = f"{gear.name.lower()} is confirmed after {in_row} samples in a row within its window; it takes {wanted}"
+                return step.at_s, what
+        confirmed = gear
+    return None
+
+
+def _measured_m(pulse: PositionPulse, sensor: SensorConfig) -> float:
+    warmth = 1.0 + sensor.temp_coeff_per_k * (pulse.coil_temperature_k - sensor.t_ref_k)
+    return (pulse.pulse_s / warmth - sensor.t_mid_s) / sensor.slope_s_per_m
+
+
+def _window_of(position_m: float, windows: WindowConfig) -> Gear:
+    """Return in which gear's window a position is; a nanometre is left to rounding."""
+    if abs(position_m) >= windows.stroke_m - windows.gear_tolerance_m - 1e-9:
+        return Gear.BACKWARD if position_m > 0.0 else Gear.FORWARD
+    inside = abs(position_m) <= windows.neutral_tolerance_m + 1e-9
+    return Gear.NEUTRAL if inside else Gear.UNKNOWN
+
+
+def false_position(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Return the first position estimate that is far from where the stay was within the time of sight."""
+    if not (circumstances.true_samples and math.isfinite(circumstances.sight_s)):
+        return None
+    time_s, position_m = record.truth["time_s"], record.truth["position_m"]
+    low_pass = circumstances.control.filter
+    back_s = circumstances.sight_s + 2.0 * circumstances.control.e2e.position_timeout_s
+    back_s += 2.5 / low_pass.fc_hz if low_pass.enabled else 0.0
+    for entry, status in accepted_status(record):
+        if (
+            status is None
+            or entry.sender != SENDER
+            or status.faults & UNSEEN
+            or status.state is ShiftState.INIT
+        ):
+            continue
+        at_s = entry.released_ns / NS_PER_S
+        low, high = np.searchsorted(time_s, [at_s - back_s, at_s])
+        if at_s - back_s < time_s[0] or high <= low:
+            continue
+        past_m = position_m[low:high]
+        away_m = max(
+            float(past_m.min()) - status.estimate_m, status.estimate_m - float(past_m.max())
+        )
+        overshoot_m = 0.2 * float(np.ptp(past_m))
+        if away_m > 0.0015 + overshoot_m:
+            what = f"the position is reported {1e3 * away_m:.1f} mm from anywhere that the stay was within {1e3 * back_s:.0f} ms"
+            return at_s, what
+    return None
