@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from can_dbc.errors import InputError, RunError
 from controller.c_settings import content
 from sil.firmware.compiler import compiled
-from sil.firmware.contract import Step
+from sil.firmware.contract import pack_step
 from sil.firmware.findings import FirmwareFailure
 from sil.firmware.load import SHIPPED_IN_C
 from sil.firmware.wasm import Instance, Module
@@ -67,15 +67,17 @@ def reference(table: Mapping[str, Any], shipped: Module) -> Reference | None:
     transitions, new = reached(record, loaded.scenario)
     outcome = Attempt(violations=broken, transitions=transitions, reached=sorted(new))
     settings = content(loaded.scenario.controller)
-    frames = list(answers(shipped, settings, node.steps))
-    return Reference(outcome, settings, zlib.compress(pickle.dumps((node.steps, frames)), 1))
+    steps = [pack_step(step) for step in node.steps]
+    frames = list(answers(shipped, settings, steps))
+    return Reference(outcome, settings, zlib.compress(pickle.dumps((steps, frames)), 1))
 
 
-def answers(module: Module, settings: bytes, steps: Sequence[Step]) -> Iterator[Any]:
+def answers(module: Module, settings: bytes, steps: Sequence[bytes]) -> Iterator[Any]:
     """The frames of each step."""
     instance = Instance(module, settings)
     for step in steps:
-        yield instance.step(step).frames
+        instance.step(step)
+        yield instance.frames()
 
 
 def is_equal(run: Reference, module: Module) -> bool:
