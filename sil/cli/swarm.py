@@ -135,12 +135,13 @@ def _store(folder: Path, generation: Generation) -> None:
 
 def news(hunt: Hunt) -> str:
     """Return runs, rate, what was new in the last ten minutes, and failures so far."""
-    generations, new, recent_s = hunt.generations, 0, 0.0
+    generations, recent_s = hunt.generations, 0.0
+    recent: set[str] = set()
+    before: set[str] = set()
     for generation in reversed(generations):
-        if recent_s >= 600.0:
-            break
-        new += sum(map(len, generation.reached.values()))
+        (recent if recent_s < 600.0 else before).update(generation.transitions)
         recent_s += generation.wall_s
+    new = len(recent - before)
     runs, wall_s = (sum(getattr(g, name) for g in generations) for name in ("runs", "wall_s"))
     failures = sum(len(generation.failures) for generation in generations)
     text = f"{counted(runs, 'run')}, {runs / max(wall_s, 1e-9):.1f} a second, {new} new transitions"

@@ -116,6 +116,8 @@ def _opposed_chambers(record: RunRecord, circumstances: Circumstances) -> Broken
 
 
 def _coil_on_time(record: RunRecord, circumstances: Circumstances) -> Broken:
+    if circumstances.disturbed:
+        return None  # what was lost may have been the commands that switch it off
     control = circumstances.control
     most_s = control.shift.push_timeout_s + 2.0 * control.blow.duration_s + 0.1
     most_s *= circumstances.slow_clock
@@ -276,13 +278,13 @@ RULES = (
     ),
     Rule(
         "blind_gear",
-        "No gear is confirmed when no position sample has been valid for the timeout of its channel.",
+        "No gear is confirmed without valid position samples.",
         "controller.e2e.position_timeout_s; AUTOSAR PRS E2E Protocol",
         inputs.blind_gear,
     ),
     Rule(
         "unsampled_gear",
-        "A gear is confirmed after its number of samples in a row within its window, not before.",
+        "A gear is confirmed by its number of samples in a row within its window.",
         "controller.windows.samples",
         inputs.unsampled_gear,
     ),
@@ -294,19 +296,19 @@ RULES = (
     ),
     Rule(
         "unrequested_push",
-        "No push begins out of rest when no request has been valid for the timeout of its channel.",
+        "No push begins out of rest without a valid request.",
         "controller.e2e.request_timeout_s; AUTOSAR PRS E2E Protocol",
         inputs.unrequested_push,
     ),
     Rule(
         "false_loss",
-        "Position and request are not reported lost while their frames arrive, nor before they can have come.",
+        "Position and request are not reported lost while their frames arrive.",
         "controller.e2e.startup_s; AUTOSAR PRS E2E Protocol",
         inputs.false_loss,
     ),
     Rule(
         "opposed_chambers",
-        "Backward and forward are not filled together, nor sooner after each other than the interlock.",
+        "Backward and forward are not filled sooner after each other than the interlock.",
         "controller.shift.interlock_s",
         _opposed_chambers,
     ),
@@ -336,13 +338,13 @@ RULES = (
     ),
     Rule(
         "internal_fault",
-        "The firmware never reports the fault INTERNAL, which only an error of its own can raise.",
+        "The firmware never reports INTERNAL, an error of its own.",
         "controller.firmware",
         _internal_fault,
     ),
     Rule(
         "sender_rules",
-        "The controller numbers its frames and adds their checksums as end-to-end protection demands.",
+        "The controller's frames have right counters and checksums.",
         "AUTOSAR PRS E2E Protocol, profile 2",
         _sender_rules,
     ),

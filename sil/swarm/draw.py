@@ -1,7 +1,4 @@
-"""Scenario tables drawn at random, new ones and neighbours of earlier ones.
-
-A table depends on the generator that it is given and nothing else.
-"""
+"""Scenario tables drawn at random; a table depends on the generator that it is given, and nothing else."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import random
 from collections.abc import Mapping
 from typing import Any
 
-from sil.simulation.scenario import FAULT_TABLES
 from sil.swarm.vocabulary import state, vocabulary
 
 Table = dict[str, Any]
@@ -76,14 +72,6 @@ def new_table(rng: random.Random, base: Mapping[str, Any]) -> Table:
     return table
 
 
-def neighbour(rng: random.Random, table: Mapping[str, Any]) -> Table:
-    """Return a copy of a table in which one to three things differ."""
-    changed = copy.deepcopy(dict(table))
-    for _ in range(rng.choice([1, 1, 2, 3])):
-        rng.choice(_MOVES)(changed, rng)
-    return changed
-
-
 def _add_request(table: Table, rng: random.Random, at_s: float | None = None) -> None:
     """Add a request for another gear: any time, or while the one before it is still served."""
     requests, end_s = table["request"], table["duration_s"] - 0.05
@@ -99,35 +87,9 @@ def _add_request(table: Table, rng: random.Random, at_s: float | None = None) ->
         requests.sort(key=lambda request: request["at_s"])
 
 
-def _move_request(table: Table, rng: random.Random) -> None:
-    if table["request"]:
-        table["request"].pop(rng.randrange(len(table["request"])))
-    _add_request(table, rng)
-
-
 def _add_fault(table: Table, rng: random.Random) -> None:
     group = rng.choice(list(vocabulary().values()))
     state(table, rng.choice(group), rng)
-
-
-def _faults(table: Mapping[str, Any]) -> list[tuple[str, int]]:
-    return [(name, k) for name in FAULT_TABLES for k in range(len(table.get(name, ())))]
-
-
-def _drop_fault(table: Table, rng: random.Random) -> None:
-    if faults := _faults(table):
-        name, index = rng.choice(faults)
-        table[name].pop(index)
-
-
-def _move_fault(table: Table, rng: random.Random) -> None:
-    if faults := _faults(table):
-        name, index = rng.choice(faults)
-        fault = table[name][index]
-        by_s = round(rng.gauss(0.0, 0.05), 4)
-        by_s = max(by_s, -fault["start_s"])
-        for key in {"start_s", "end_s"} & set(fault):
-            fault[key] = round(fault[key] + by_s, 4)
 
 
 def _set(table: Table, path: str, rng: random.Random) -> None:
@@ -137,25 +99,7 @@ def _set(table: Table, path: str, rng: random.Random) -> None:
     within[name] = rng.choice(SETTINGS[path])
 
 
-def _change_setting(table: Table, rng: random.Random) -> None:
-    _set(table, rng.choice(list(SETTINGS)), rng)
-
-
 def _start_clock(table: Table, rng: random.Random) -> None:
     """Let a counter of the firmware overflow within the run."""
     start_s = rng.choice(OVERFLOWS_S) - rng.uniform(0.0, table["duration_s"])
     table.setdefault("clock", {})["controller_start_s"] = round(start_s, 3)
-
-
-def _lengthen(table: Table, rng: random.Random) -> None:
-    table["duration_s"] = min(2.0 * table["duration_s"], 6.0)
-
-
-def _reseed(table: Table, rng: random.Random) -> None:
-    table["seed"] = rng.randrange(1 << 32)
-
-
-_MOVES = (
-    *(_add_fault, _add_fault, _drop_fault, _move_fault, _add_request, _move_request),
-    *(_change_setting, _start_clock, _lengthen, _reseed),
-)

@@ -1,8 +1,7 @@
-"""Generations of drawn scenarios; what one generation reached guides the drawing of the next.
+"""Generations of drawn scenarios.
 
-Scenario n of generation g depends on the seed, g, n, and what earlier generations reached: not on
-the number of workers, nor on the wall clock. A generation is one line of swarm.jsonl, from
-which an interrupted swarm goes on.
+Scenario n of generation g depends on the seed, g and n: not on the number of workers, nor on the wall
+clock. A generation is one line of swarm.jsonl, from which an interrupted swarm goes on.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from can_dbc.errors import InputError
 from sil.rules import Rule, Violation
 from sil.simulation.inputs import input_digests
 from sil.swarm.attempt import Attempt, attempt
-from sil.swarm.draw import Table, neighbour, new_table
+from sil.swarm.draw import Table, new_table
 from sil.swarm.shrink import shrink
 
 GENERATION = 256
@@ -55,21 +54,23 @@ class Failure(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Generation(msgspec.Struct, frozen=True, kw_only=True):
-    """What a generation brought: numbers of scenarios that reached something new, and failures."""
+    """What a generation brought."""
 
     number: int
     runs: int
     refused: int
     wall_s: float
     transitions: dict[str, int]
-    reached: dict[int, list[str]]
+    """How often each change of state was taken."""
+    shortest: dict[str, int]
+    """The number of the simplest scenario that takes each."""
     failures: list[Failure]
     broken: dict[str, int]
     """Runs that broke each rule."""
 
 
 class Hunt:
-    """A swarm around a base scenario; `guided`: draws near what was new, not only blindly."""
+    """A swarm around a base scenario."""
 
     def __init__(
         self,
@@ -77,17 +78,13 @@ class Hunt:
         seed: int,
         rules: Sequence[Rule],
         *,
-        guided: bool = True,
         size: int = GENERATION,
     ) -> None:
         self._base = dict(base)
         self._seed = seed
         self._rules = tuple(rules)
-        self._guided = guided
         self._size = size
         self.generations: list[Generation] = []
-        self.reached: set[str] = set()
-        self._promising: list[Table] = []
         self._causes: set[tuple[str, ...]] = set()
 
     @cached_property
@@ -98,25 +95,15 @@ class Hunt:
         names = [rule.name for rule in self._rules]
         tables = {"base": self._base, "rules": [names, files]}
         inputs = input_digests(tables, (Path(),))
-        content = [self._seed, self._guided, self._size, inputs]
+        content = [self._seed, self._size, inputs]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
-    def tables(self, generation: int) -> list[Table]:
-        """Return the scenario tables of a generation, given all before it."""
-        return [self._table(generation, number) for number in range(self._size)]
-
-    def _table(self, generation: int, number: int) -> Table:
-        rng = random.Random(f"{self._seed} {generation} {number}")
-        if self._guided and self._promising and rng.random() < 0.6:
-            return neighbour(rng, rng.choice(self._promising))
-        return new_table(rng, self._base)
+    def table(self, generation: int, number: int) -> Table:
+        """Return a scenario table of a generation."""
+        return new_table(random.Random(f"{self._seed} {generation} {number}"), self._base)
 
     def add(self, generation: Generation) -> None:
         """Take what a finished generation brought."""
-        tables = self.tables(generation.number) if generation.reached else []
-        for number, features in generation.reached.items():
-            self.reached.update(features)
-            self._promising.append(tables[number])
         self._causes.update(failure.cause for failure in generation.failures)
         self.generations.append(generation)
 
@@ -136,24 +123,23 @@ class Hunt:
 
     def _generation(self, runner: Runner, number: int) -> Generation:
         begun = time.perf_counter()
-        tables = self.tables(number)
-        seen = set(self.reached)
-        reached: dict[int, list[str]] = {}
+        tables = [self.table(number, index) for index in range(self._size)]
+        shortest: dict[str, int] = {}
         transitions: dict[str, int] = {}
         broken: dict[str, int] = {}
         first: dict[str, int] = {}
         refused = 0
         for index, result in enumerate(runner(partial(attempt, rules=self._rules), tables)):
             refused += bool(result.refused)
-            if new := sorted(set(result.reached) - seen):
-                reached[index] = new
-                seen.update(new)
             for name, times in result.transitions.items():
                 transitions[name] = transitions.get(name, 0) + times
+                best = shortest.get(name)
+                if best is None or size_of(tables[index]) < size_of(tables[best]):
+                    shortest[name] = index
             for violation in result.violations:
                 broken[violation.rule] = broken.get(violation.rule, 0) + 1
                 best = first.get(violation.rule)
-                if best is None or _size(tables[index]) < _size(tables[best]):
+                if best is None or size_of(tables[index]) < size_of(tables[best]):
                     first[violation.rule] = index
         failures = [
             failure
@@ -167,7 +153,7 @@ class Hunt:
             refused=refused,
             wall_s=round(time.perf_counter() - begun, 3),
             transitions=transitions,
-            reached=reached,
+            shortest=shortest,
             failures=failures,
             broken=broken,
         )
@@ -189,7 +175,8 @@ class Hunt:
         )
 
 
-def _size(table: Table) -> tuple[int, float]:
+def size_of(table: Table) -> tuple[int, float]:
+    """Return a measure of how simple a scenario is: lines and settings, then duration in s."""
     rows = sum(len(value) for value in table.values() if isinstance(value, list))
     return rows + len(table.get("controller", ())), table["duration_s"]
 

@@ -20,9 +20,9 @@ from sil.report.shell import Head, Picture, render
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import from_table
 from sil.simulation.scenario_text import scenario_toml
-from sil.swarm.hunt import Failure, Hunt
+from sil.swarm.hunt import Failure, Hunt, size_of
 
-FAILURES = "failures"
+FAILURES, TAKEN = "failures", "transitions"
 
 
 def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
@@ -41,14 +41,32 @@ def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
     return failures
 
 
-def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dict[str, Any]:
-    """Write swarm.json, the pictures and report.html; return the content of swarm.json."""
-    possible = {f"{a.name} -> {b.name}" for (a, _), b in TRANSITIONS.items() if a is not b}
+def _write_transitions(hunt: Hunt, folder: Path) -> dict[str, int]:
+    """Write the simplest scenario that takes each change of state; return how often each was taken."""
+    simplest: dict[str, dict[str, Any]] = {}
     taken: dict[str, int] = {}
     for generation in hunt.generations:
         for name, times in generation.transitions.items():
-            if name in possible:  # else a report between the two was lost
-                taken[name] = taken.get(name, 0) + times
+            taken[name] = taken.get(name, 0) + times
+            table = hunt.table(generation.number, generation.shortest[name])
+            if name not in simplest or size_of(table) < size_of(simplest[name]):
+                simplest[name] = table
+    shutil.rmtree(folder / TAKEN, ignore_errors=True)
+    (folder / TAKEN).mkdir()
+    for name, table in simplest.items():
+        stem = name.replace(" -> ", "_")
+        text = scenario_toml(from_table({**table, "name": stem}, stem).scenario)
+        write_atomically(folder / TAKEN / f"{stem}.toml", text)
+    return taken
+
+
+def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dict[str, Any]:
+    """Write swarm.json, the pictures and report.html; return the content of swarm.json."""
+    possible = {f"{a.name} -> {b.name}" for (a, _), b in TRANSITIONS.items() if a is not b}
+    counts = _write_transitions(hunt, folder)
+    taken = {
+        name: times for name, times in counts.items() if name in possible
+    }  # else a report was lost
     result = {
         "runs": sum(generation.runs for generation in hunt.generations),
         "refused": sum(generation.refused for generation in hunt.generations),
@@ -56,7 +74,6 @@ def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dic
         "failures": {name: msgspec.to_builtins(each) for name, each in failures.items()},
         "transitions": dict(sorted(taken.items(), key=lambda item: -item[1])),
         "never_taken": sorted(possible - set(taken)),
-        "reached": len(hunt.reached),
     }
     write_atomically(folder / "swarm.json", json.dumps(finite(result), indent=1) + "\n")
     pictures = {name: _picture(name, failure, folder) for name, failure in failures.items()}

@@ -19,8 +19,8 @@ from sil.firmware.load import SHIPPED_IN_C
 from sil.rules.shipped import RULES
 from sil.rules.user_file import load_rules
 from sil.simulation.load_scenario import from_table
-from sil.swarm.draw import neighbour, new_table
-from sil.swarm.hunt import SWARM_FILE, Hunt, stored_generations
+from sil.swarm.draw import new_table
+from sil.swarm.hunt import SWARM_FILE, Generation, Hunt, stored_generations
 from sil.swarm.shrink import shrink
 from tests.support.firmware_bugs import BUGS, mutants, with_bug
 
@@ -39,19 +39,22 @@ def comparable(hunt: Hunt) -> list[Any]:
     ]
 
 
-def test_what_is_drawn_is_a_scenario_and_so_are_its_neighbours() -> None:
+def test_what_is_drawn_is_a_scenario() -> None:
     rng, kinds = random.Random(5), set()
     for _ in range(150):
-        table = neighbour(rng, new_table(rng, BASE))
+        table = new_table(rng, BASE)
         scenario = from_table(table, "drawn").scenario
-        kinds.update(key for key in table if key.endswith("fault"))
+        kinds.update(key for key in table if key.endswith(("fault", "clock")))
         assert scenario.request
-    assert kinds == {"fault", "sensor_fault", "temperature_fault", "speed_fault", "valve_fault"}
+    tables = {"fault", "sensor_fault", "temperature_fault", "speed_fault", "valve_fault", "clock"}
+    assert kinds == tables
 
 
 def test_one_worker_two_or_an_interruption_make_no_difference(tmp_path: Path) -> None:
     whole = hunted(1, 3)
-    assert sum(map(len, (g.reached for g in whole.generations))) > 8 and whole.reached
+    assert all(
+        len(g.transitions) > 5 and set(g.shortest) == set(g.transitions) for g in whole.generations
+    )
     assert comparable(hunted(2, 3)) == comparable(whole)
     first = hunted(1, 1)
     lines = [json.dumps({"sha256": first.digest}).encode()]
@@ -171,12 +174,22 @@ def test_a_bug_is_found_and_fails_by_itself(
     assert cli.main(mended) == 0
 
 
-def test_progress_says_what_is_new(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    hunt = hunted(1, 1)
-    new = sum(len(features) for features in hunt.generations[0].reached.values())
-    text = news(hunt)
-    assert text.startswith("8 runs, ") and text.endswith("0 failures")
-    assert f"{new} new transitions in the last" in text
+def test_progress_says_what_is_new() -> None:
+    def generation(number: int, wall_s: float, *names: str) -> Generation:
+        transitions = dict.fromkeys(names, 1)
+        return Generation(
+            number=number, runs=256, refused=0, wall_s=wall_s, transitions=transitions,
+            shortest={}, failures=[], broken={},
+        )  # fmt: skip
+
+    hunt = Hunt(BASE, 1, RULES)
+    for each in (
+        generation(0, 100.0, "a"),
+        generation(1, 500.0, "a", "b"),
+        generation(2, 100.0, "b", "c"),
+    ):
+        hunt.add(each)
+    assert news(hunt) == "768 runs, 1.1 a second, 2 new transitions in the last 10 min, 0 failures"
 
 
 def test_every_bug_and_mutant_is_a_change_of_the_source(tmp_path: Path) -> None:
