@@ -81,7 +81,7 @@ def test_every_parameter_of_every_fault_is_drawn() -> None:
     for fault in (fault for group in vocabulary().values() for fault in group):
         if fault.where in ("bus", "clock"):
             continue
-        table: dict[str, Any] = {}
+        table: dict[str, Any] = {"request": []}
         for _ in range(16):
             state(table, fault, rng)
         drawn = {name for entry in table[fault.where] for name in entry}
