@@ -102,16 +102,13 @@ class LoadModel:
             rows["packed"] = np.repeat(rows["packed"], len(loads), axis=0)
         return replace(self.strokes, switches=switches, duration_s=duration_s, **rows)
 
-    def arrivals(
-        self, strokes: Strokes, under_way: bool = False, tolerance: float = 1e-6
-    ) -> Arrivals:
+    def arrivals(self, strokes: Strokes) -> Arrivals:
         """Simulate strokes [n] and judge their impacts; each figure [n].
 
-        A stroke has arrived if it is at its stop at the end. under_way: the strokes begin where the
-        driving piston has picked up the stay.
+        A stroke has arrived if it is at its stop at the end.
         """
         max_events = 96
-        result = simulate_batch(strokes, event_room=max_events, tolerance=tolerance)
+        result = simulate_batch(strokes, event_room=max_events)
         events = np.moveaxis(result.events, 2, 0)
         happened = np.arange(max_events) < result.event_count[:, None]
         time_s = np.where(happened, events[EventRow.time], np.inf)
@@ -122,7 +119,7 @@ class LoadModel:
         left_s = np.where(left, time_s, -1.0).max(axis=1)
         arrival_s = _first(stop & (time_s > left_s[:, None]), time_s)
         lost_j = np.where(happened, events[EventRow.lost], 0.0)
-        counts = counted(guard, time_s, lost_j, at_block, () if under_way else (self._pick_up,))
+        counts = counted(guard, time_s, lost_j, at_block, (self._pick_up,))
         worst_j = np.where(counts, lost_j, 0.0).max(axis=1)
         stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
         worst_m_s = worst_speed_m_s(worst_j, stay_m_s, self._mass_kg)

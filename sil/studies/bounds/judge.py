@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -17,12 +18,11 @@ from plant.kernel.layout import LengthState, Parameters
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.simulation.impacts import HOLD_S
-from sil.studies.bounds.policy import STEM_SIZE, Edges, Timing, edges_of, in_order, switches_of
-from sil.studies.policies import GEARBOX, Floats, Ints, LoadModel
+from sil.studies.bounds.policy import STEM_SIZE, Edges, Timing, edges_of, switches_of
+from sil.studies.policies import GEARBOX, Bools, Floats, Ints, LoadModel
 
 LATER_S = 0.03
 """By how much an arrival may be later than that of the plain push under the same load."""
-HELD_STEP_S = 2e-4
 PLAIN = np.full((1, STEM_SIZE), -100.0)
 """The plain push as a policy: no pulse is longer than nothing."""
 
@@ -80,11 +80,16 @@ class Judgement:
         worst: Floats = allowed.max(axis=(1, 2, 3))
         return worst
 
+    def under(self, loads: Bools) -> Judgement:
+        """Return the judgement under some loads, [loads] without unit."""
+        return Judgement(self.impact_m_s[..., loads], self.late_s[..., loads])
+
 
 class Judge:
     """Loads and scatter, and when the plain push arrives under each.
 
-    impulses_n_s [impulses] in N s, ascending; mesh_n: forces in N, unknown to a policy.
+    impulses_n_s [impulses] in N s, ascending; mesh_n: forces in N, unknown to a policy; load: of the
+    stay, as in a campaign.
     """
 
     def __init__(
@@ -94,15 +99,16 @@ class Judge:
         impulses_n_s: Floats,
         mesh_n: Sequence[float],
         scatter: Sequence[Scatter],
+        load: Literal["none", "damper"] = "none",
     ) -> None:
         self.timing, self.scatter = timing, tuple(scatter)
         self.impulses_n_s, self.mesh_n = impulses_n_s, tuple(mesh_n)
         self.shape = len(scatter), len(mesh_n), len(impulses_n_s)
+        case = replace(GEARBOX.cases[0], load=load, sync_impulse_n_s=1e6)
         setups = []
         for each in scatter:
             for force_n in mesh_n:
-                case = replace(GEARBOX.cases[0], mesh_force_n=force_n, sync_impulse_n_s=1e6)
-                setups.append(make_setup(parameters, case))
+                setups.append(make_setup(parameters, replace(case, mesh_force_n=force_n)))
                 for name, amount in each.factors.items():
                     shift(setups[-1], name, amount)
         self._model = LoadModel(setups)
@@ -120,79 +126,44 @@ class Judge:
 
     def _switches(self, edges: Edges, scatter: Ints) -> Floats:
         """Return the plungers' moves [strokes, k, 4]; scatter: its number for each stroke."""
-        return switches_of(
-            self.shifted(edges, scatter), self._rise_s[scatter], self._fall_s[scatter]
-        )
+        rise_s, fall_s = self._rise_s[scatter], self._fall_s[scatter]
+        return switches_of(self.shifted(edges, scatter), rise_s, fall_s)
 
-    def held(self, values: Floats) -> tuple[Floats, Floats]:
-        """Simulate the stems of policies [policies, size] against synchronizers that never let go.
+    def release_s(self, values: Floats, loads: slice = slice(None)) -> Floats:
+        """Return when loads let go under the stems of policies [policies, size], the end if never.
 
-        Returns [policies, *shape] in s when the impulse of a load is reached, the end if never, and the
-        states [policies and scatter, samples, states], in SI units, every HELD_STEP_S.
+        [policies, scatter, mesh forces, loads]; the synchronizer does not know the mesh force.
         """
-        size, policies = len(self.scatter), len(values)
+        (size, meshes, _), policies = self.shape, len(values)
         scatter = np.tile(np.arange(size), policies)
         never_s = np.full((policies, size), 10.0)
         switches = self._switches(edges_of(values, (), never_s, 0.0, self.timing), scatter)
-        time_s = np.arange(0.0, self._end_s, HELD_STEP_S)
+        time_s = np.arange(0.0, self._end_s, 2e-4)
         end_s = np.full(len(scatter), self._end_s)
-        strokes = self._model.take(scatter * self.shape[1], switches, end_s)
-        states = simulate_batch(strokes, sample_s=time_s, lanes=False, tolerance=1e-6).samples
-        given = states[:, :, LengthState.impulse]
-        release_s = [np.interp(self.impulses_n_s, x, time_s, right=self._end_s) for x in given]
-        shape = (policies, size, 1, len(self.impulses_n_s))
-        return np.repeat(np.reshape(release_s, shape), self.shape[1], axis=2), states
+        strokes = self._model.take(scatter * meshes, switches, end_s)
+        column = int(LengthState.impulse)
+        batch = simulate_batch(strokes, sample_s=time_s, columns=[column], lanes=False)
+        impulses_n_s = self.impulses_n_s[loads]
+        release_s = [
+            np.interp(impulses_n_s, given, time_s, right=self._end_s)
+            for given in batch.samples[..., 0]
+        ]
+        shape = (policies, size, 1, len(impulses_n_s))
+        return np.repeat(np.reshape(release_s, shape), meshes, axis=2)
 
     def judge(
-        self, values: Floats, knots_s: Sequence[float], delay_s: float, releases: int = 0
+        self, values: Floats, knots_s: Sequence[float], delay_s: float, loads: slice = slice(None)
     ) -> Judgement:
-        """Judge policies [policies, size], which know of the release delay_s later.
-
-        releases: instead of the impulses, the loads that let go at so many instants, evenly spread: a
-        dip of the push is long in time and short in impulse, and a grid of impulses misses it. These
-        strokes begin shortly before the release, as a search has to be quick; what the pistons did
-        until then does not count.
-        """
-        (release_s, states), (size, meshes, impulses) = self.held(values), self.shape
-        shape = (len(values), size, meshes, releases or impulses)
-        case = np.broadcast_to(np.arange(size * meshes).reshape(size, meshes, 1), shape).ravel()
-        shown = (len(values), *self.shape)
-        impulse_n_s = np.broadcast_to(self.impulses_n_s, shown).ravel()
-        plain_s = np.broadcast_to(self._plain_s, shown).ravel()
-        row = np.arange(len(values) * size).repeat(meshes * shape[3])
-        if releases:
-            offset = np.linspace(0.0, 1.0, size * meshes).reshape(size, meshes, 1)
-            part = np.minimum((np.arange(releases) + offset) / (releases - 1), 1.0)
-            release_s = release_s[..., :1] + part * (release_s[..., -1:] - release_s[..., :1])
-            at = release_s.ravel() / HELD_STEP_S
-            before = np.clip(at.astype(np.int64) - 1, 0, states.shape[1] - 3)
-            low, high = (states[row, before + k, LengthState.impulse] for k in (0, 2))
-            impulse_n_s = np.maximum(low + 0.5 * (at - before) * (high - low), low + 1e-6)
-            plain_s = np.empty(len(row))
-            for k, arrival_s in enumerate(self._plain_s.reshape(-1, impulses)):
-                of_case = impulse_n_s[case == k]
-                plain_s[case == k] = np.interp(of_case, self.impulses_n_s, arrival_s)
+        """Judge policies [policies, size], which know of the release delay_s later, under some loads."""
+        release_s, meshes = self.release_s(values, loads), len(self.mesh_n)
+        cases = np.arange(self.shape[0] * meshes).reshape(-1, meshes, 1)
+        case = np.broadcast_to(cases, release_s.shape).ravel()
+        impulse_n_s = np.broadcast_to(self.impulses_n_s[loads], release_s.shape).ravel()
+        plain_s = np.broadcast_to(self._plain_s[..., loads], release_s.shape).ravel()
         edges = edges_of(values, knots_s, release_s.reshape(len(values), -1), delay_s, self.timing)
         switches = self._switches(edges, case // meshes)
-        end_s = plain_s + LATER_S + HOLD_S
-        begin_s = np.zeros(len(row), dtype=np.float64)
-        strokes = self._model.take(case, switches, end_s)
-        if releases:
-            begin_s = (HELD_STEP_S * before).astype(np.float64)
-            switches, valves = _from(switches, begin_s)
-            strokes = self._model.take(case, switches, np.maximum(end_s - begin_s, 1e-3))
-            strokes = replace(strokes, initial=states[row, before], valves=valves)
+        strokes = self._model.take(case, switches, plain_s + LATER_S + HOLD_S)
         strokes.packed[:, Parameters.sync_impulse] = impulse_n_s
-        arrivals = self._model.arrivals(strokes, bool(releases), 1e-5 if releases else 1e-6)
-        late_s = arrivals.arrival_s + begin_s - plain_s
-        return Judgement(arrivals.impact_worst_m_s.reshape(shape), late_s.reshape(shape))
-
-
-def _from(switches: Floats, begin_s: Floats) -> tuple[Floats, Floats]:
-    """Return switches [strokes, k, 4] from begin_s [strokes] on, and the valves [strokes, 3] there."""
-    before = switches[:, :, 0] <= begin_s[:, None]
-    sign = np.where(switches[:, :, 2] > 0.5, 1.0, -1.0) * before
-    valves = np.stack([(sign * (switches[:, :, 1] == k)).sum(axis=1) for k in range(3)], axis=1)
-    switches[:, :, 0] -= begin_s[:, None]
-    switches[before, 0] = np.inf
-    return in_order(switches), valves
+        arrivals = self._model.arrivals(strokes)
+        columns = arrivals.impact_worst_m_s, arrivals.arrival_s - plain_s
+        return Judgement(*(each.reshape(release_s.shape) for each in columns))

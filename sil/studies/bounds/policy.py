@@ -11,13 +11,13 @@ Checked by: tests/unit/sil/studies/bounds/test_policy.py
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from plant.effects.stroke_conditions import FULL_DUTY
-from sil.studies.policies import Bools, Commands, Floats
+from sil.studies.policies import Bools, Commands, Floats, Ints
 
 UNIT_S = 0.01
 STEM = {"B": 3, "N": 4, "F": 2}
@@ -36,6 +36,19 @@ class Timing(NamedTuple):
     fall_s: float
 
 
+def places_of(valves: Iterable[str], knots: int) -> tuple[Ints, Ints]:
+    """Return where a policy has its values of some valves: of the stem [k], of the answer [knots, k]."""
+    stem, answer, begin, answer_begin = [], [], 0, STEM_SIZE
+    for valve, n in STEM.items():
+        size, answer_size = 2 * n, 2 * ANSWER[valve]
+        if valve in valves:
+            stem.append(np.arange(begin, begin + size))
+            places = np.arange(answer_begin, answer_begin + knots * answer_size)
+            answer.append(places.reshape(knots, answer_size))
+        begin, answer_begin = begin + size, answer_begin + knots * answer_size
+    return np.concatenate(stem), np.concatenate(answer, axis=1)
+
+
 def edges_of(
     values: Floats, knots_s: Sequence[float], release_s: Floats, delay_s: float, timing: Timing
 ) -> Edges:
@@ -43,21 +56,17 @@ def edges_of(
 
     knots_s: instants of release between which the answer is linear; none: there is no answer.
     """
-    known_s = (release_s + delay_s)[..., None]
-    begin, answer_begin, edges = 0, STEM_SIZE, {}
-    for valve, n in STEM.items():
+    known_s, edges = (release_s + delay_s)[..., None], {}
+    for valve in STEM:
+        stem, answer = places_of(valve, len(knots_s))
         shortest_s = timing.fall_s if valve == "B" else timing.rise_s
         parts = [np.zeros_like(known_s)] if valve == "B" else []
-        stem = values[:, None, begin : begin + 2 * n].reshape(len(values), 1, 2, n)
-        parts.append(np.minimum(_pulses(stem, shortest_s), known_s))
-        begin += 2 * n
+        pulses = values[:, None, stem].reshape(len(values), 1, 2, -1)
+        parts.append(np.minimum(_pulses(pulses, shortest_s), known_s))
         if len(knots_s):
-            size = 2 * ANSWER[valve] * len(knots_s)
-            knots = values[:, answer_begin : answer_begin + size]
-            answer = at_releases(knots.reshape(len(values), len(knots_s), -1), knots_s, release_s)
-            pulses = answer.reshape(*release_s.shape, 2, -1)
+            pulses = at_releases(values[:, answer], knots_s, release_s)
+            pulses = pulses.reshape(*release_s.shape, 2, -1)
             parts.append(known_s + _pulses(pulses, shortest_s))
-            answer_begin += size
         each = np.concatenate(parts, axis=2)
         edges[valve] = each.reshape(-1, each.shape[-1])
     return edges
@@ -115,11 +124,7 @@ def switches_of(edges: Edges, rise_s: Floats, fall_s: Floats) -> Floats:
                 delay_s = (rise_s if on else fall_s)[:, chamber]
                 cancelled = np.isfinite(move_s)
                 move_s = np.where(acts, np.where(cancelled, np.inf, now_s + delay_s), move_s)
-    return in_order(np.moveaxis(np.array(rows, dtype=np.float64), 2, 0))
-
-
-def in_order(switches: Floats) -> Floats:
-    """Return switches [strokes, k, 4] by time in s, without columns that no stroke has."""
+    switches = np.moveaxis(np.array(rows, dtype=np.float64), 2, 0)
     order = np.argsort(switches[:, :, 0], axis=1, kind="stable")
     most = max(1, int(np.isfinite(switches[:, :, 0]).sum(axis=1).max()))
     return np.take_along_axis(switches, order[..., None], axis=1)[:, :most]

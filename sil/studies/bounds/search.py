@@ -6,22 +6,27 @@ Checked by: tests/unit/sil/studies/bounds/test_search.py
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
 
 from plant.parameters import ParameterSet
 from sil.studies.bounds.judge import LATER_S, SHIFTED, Judge, Judgement, Scatter
-from sil.studies.bounds.policy import ANSWER, NO_PULSE, STEM, STEM_SIZE, Timing, at_releases
-from sil.studies.policies import Floats
+from sil.studies.bounds.policy import (
+    ANSWER,
+    NO_PULSE,
+    STEM,
+    STEM_SIZE,
+    Timing,
+    at_releases,
+    places_of,
+)
+from sil.studies.policies import Bools, Floats, Ints
 
-Costs = Callable[[Floats], Floats]
-"""Costs [policies] in m/s of policies [policies, size]."""
 LATEST_START = 22.0
 """Of a pulse of the stem, in units of a policy."""
-KNOTS = (1, 3, 6)
 
 
 class Progress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,18 +60,20 @@ class Progress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def cost_m_s(judgement: Judgement) -> Floats:
-    """Return a cost [policies] in m/s: the hardest stop, smoothed, and the latest arrival.
+    """Return a cost [policies] in m/s: the hardest stop, smoothed, and a little of all above 0.6 m/s.
 
-    Stops v are taken together as T ln mean exp(v / T), T = 0.003 m/s. Late: 0.2 m/s for 10 ms; not in
-    gear at the end: 1 m/s, and 0.5 m/s if it is so under all loads.
+    Smooth: T ln mean exp(v / T), T = 0.003 m/s. Not in gear at the end is a stop with 2.5 m/s; the
+    latest arrival costs 0.1 m/s for 1 ms too late.
     """
-    arrived = np.isfinite(judgement.late_s).reshape(len(judgement.late_s), -1)
-    speed = np.where(arrived, judgement.impact_m_s.reshape(arrived.shape), 0.0)
-    late_s = np.where(arrived, judgement.late_s.reshape(arrived.shape), LATER_S + 0.05)
-    excess_s = np.maximum(late_s - (LATER_S - 2e-4), 0.0)
-    worst = speed.max(axis=1)
-    smooth = worst + 0.003 * np.log(np.exp((speed - worst[:, None]) / 0.003).mean(axis=1))
-    cost: Floats = smooth + 20.0 * excess_s.max(axis=1) + 10.0 * excess_s.mean(axis=1)
+    shape = (len(judgement.late_s), -1)
+    late_s, stop_m_s = judgement.late_s.reshape(shape), judgement.impact_m_s.reshape(shape)
+    arrived = np.isfinite(late_s)
+    stop_m_s = np.where(arrived, stop_m_s, 2.5)
+    latest_s = np.where(arrived, late_s, 0.0).max(axis=1)
+    worst = stop_m_s.max(axis=1)
+    smooth = worst + 0.003 * np.log(np.exp((stop_m_s - worst[:, None]) / 0.003).mean(axis=1))
+    smooth += 0.1 * np.maximum(stop_m_s - 0.6, 0.0).mean(axis=1)
+    cost: Floats = smooth + 100.0 * np.maximum(latest_s - (LATER_S - 1e-4), 0.0)
     return cost
 
 
@@ -79,81 +86,59 @@ def random_stem(rng: np.random.Generator) -> Floats:
     return np.concatenate(parts)
 
 
-def with_knots(policy: Progress, knots_s: list[float]) -> Floats:
-    """Return the same policy [size], without unit, with other knots; with none so far, no answer."""
-    values, begin = policy.policy, STEM_SIZE
-    parts = [values[0, :STEM_SIZE]]
-    for n in ANSWER.values():
-        size = 2 * n * len(policy.knots_s)
-        if size:
-            knots = values[:, begin : begin + size].reshape(1, len(policy.knots_s), -1)
-            begin += size
-            parts.append(at_releases(knots, policy.knots_s, np.array([knots_s])).ravel())
-        else:
-            parts.append(np.tile([0.5] * n + [NO_PULSE] * n, len(knots_s)))
-    return np.concatenate(parts)
-
-
-def evolve(
-    costs: Costs, start: Floats, sigma: float, evaluations: int, popsize: int, seed: int
-) -> Floats:
-    """Return the best policy [size], without unit, of CMA-ES (library `cma`) from a start [size]."""
-    import cma
-
-    rng = np.random.default_rng(seed)
-    options = {
-        "popsize": popsize,
-        "maxfevals": evaluations,
-        "tolfun": 1e-4,
-        "tolx": 1e-4,
-        "seed": np.nan,
-        "randn": lambda *shape: rng.standard_normal(shape),
-        "verbose": -9,
-    }
-    strategy = cma.CMAEvolutionStrategy(start, sigma, options)
-    best, least = start, float(costs(start[None])[0])
-    while not strategy.stop():
-        points = strategy.ask()
-        values = costs(np.array(points))
-        if values.min() < least:
-            best, least = points[int(np.argmin(values))], float(values.min())
-        strategy.tell(points, list(values))
-    return best
-
-
 class Problem:
-    """What a policy is searched for: valves, delay of the information, mesh forces that may occur."""
+    """What a policy is searched for: valves, delay of the information, mesh forces that may occur.
+
+    b_with_f: F may open while B pushes, as the firmware forbids. impulses_n_s: the least and the greatest.
+    """
 
     def __init__(
-        self, parameters: ParameterSet, timing: Timing, delay_s: float, mesh_n: Sequence[float]
+        self,
+        parameters: ParameterSet,
+        timing: Timing,
+        delay_s: float,
+        mesh_n: Sequence[float],
+        b_with_f: bool = False,
+        impulses_n_s: tuple[float, float] = (18.0, 250.0),
     ) -> None:
         self.parameters, self.timing, self.delay_s = parameters, timing, delay_s
-        self.mesh_n = tuple(mesh_n)
+        self._mesh_n, self._valves = tuple(mesh_n), "BNF" if b_with_f else "BN"
+        self._impulses_n_s = impulses_n_s
         self.judge = self.judge_of(SHIFTED)
-        ends = sorted({min(mesh_n), max(mesh_n)})
-        self._training = self.judge_of((SHIFTED[0], SHIFTED[-1]), 4.0, ends)
 
     def judge_of(
-        self, scatter: Sequence[Scatter], step_n_s: float = 1.0, mesh_n: Sequence[float] = ()
+        self,
+        scatter: Sequence[Scatter],
+        step_n_s: float = 1.0,
+        load: Literal["none", "damper"] = "none",
     ) -> Judge:
-        """Return the judge of impulses from 18 to 250 N s, every step_n_s."""
-        impulses_n_s = np.linspace(18.0, 250.0, round(232.0 / step_n_s) + 1)
-        return Judge(self.parameters, self.timing, impulses_n_s, mesh_n or self.mesh_n, scatter)
+        """Return the judge of the impulses, every step_n_s."""
+        low, high = self._impulses_n_s
+        impulses_n_s = np.linspace(low, high, round((high - low) / step_n_s) + 1)
+        return Judge(self.parameters, self.timing, impulses_n_s, self._mesh_n, scatter, load)
 
-    def costs(self, knots_s: Sequence[float], waits_s: float = 0.0) -> Costs:
-        """Return the costs of the searches: commands early and late, ends of the mesh forces."""
-        judge, delay_s = self._training.judge, self.delay_s + waits_s
-        return lambda values: cost_m_s(judge(values, knots_s, delay_s, 30))
+    def judged(self, policy: Progress, judge: Judge, loads: slice = slice(None)) -> Judgement:
+        """Return how a policy arrives."""
+        delay_s = self.delay_s + policy.waits_s
+        return judge.judge(policy.policy, policy.knots_s, delay_s, loads)
 
-    def judged(self, progress: Progress, judge: Judge) -> Judgement:
-        """Return how the best policy of a search arrives."""
-        return judge.judge(progress.policy, progress.knots_s, self.delay_s + progress.waits_s)
+    def answering(self, policy: Progress, knots: int) -> tuple[Progress, Ints]:
+        """Return the same policy with knots over its releases, and the places of what may change.
 
-    def answering(self, policy: Progress, knots: int) -> tuple[Floats, list[float]]:
-        """Return the same policy [size], without unit, with knots over the releases that it has."""
-        release_s = self._training.held(policy.policy)[0]
-        knots_s = np.linspace(release_s.min(), release_s.max(), knots).tolist()
-        return with_knots(policy, knots_s), knots_s
+        One that has no answer gets pulses of no length; of a valve that may not move it has none.
+        """
+        release_s = self.judge.release_s(policy.policy)
+        knots_s = np.linspace(release_s.min(), release_s.max(), knots)
+        values = np.full(STEM_SIZE + 2 * knots * sum(ANSWER.values()), NO_PULSE)
+        values[:STEM_SIZE] = policy.values[:STEM_SIZE]
+        for valve in self._valves if policy.knots_s else "":
+            (_, before), (_, after) = (places_of(valve, n) for n in (len(policy.knots_s), knots))
+            answer = policy.policy[:, before]
+            values[after] = at_releases(answer, policy.knots_s, knots_s[None])[0]
+        stem, places = places_of(self._valves, knots)
+        values[np.setdiff1d(np.arange(STEM_SIZE), stem)] = NO_PULSE
+        changing = np.concatenate([stem, places.ravel()])
+        return Progress(policy.waits_s, knots_s.tolist(), values.tolist()), changing
 
     def after(self, progress: Progress, attempt: Progress, evaluations: int) -> Progress:
         """Return the progress after an attempt that ended in a policy."""
@@ -167,71 +152,107 @@ class Problem:
     def cma(self, progress: Progress, others: Sequence[Progress], evaluations: int) -> Progress:
         """Return the progress after one more attempt of CMA-ES.
 
-        Of five attempts one begins with a random stem, its population larger each time, one with the
-        policy of another problem that is best here, three at the best so far. Knots become more.
+        The first begins with the policy of another problem that is best here; of the others one in four
+        at random, its population larger each time, the rest at the best so far. Every other knot is
+        searched for itself, under the releases between its neighbours, then those between; then the stem,
+        then all values.
         """
-        k, size, left = len(progress.history), 24, evaluations
-        sigma, start = (0.3, 1.0, 0.3, 0.1)[k % 4], progress
-        others = [each for each in others if each.values]
-        if k % 5 == 1 and others:
-            start = min(others, key=lambda o: self.costs(o.knots_s, o.waits_s)(o.policy)[0])
-        elif k % 5 == 0 or not start.values:
-            sigma, size, left = 0.5, 16 * 2 ** (k // 5 % 3), evaluations // 2
-            rng, stems = np.random.default_rng(1000 + k), self.costs([])
-            points = np.array([random_stem(rng) for _ in range(3 * size)])
-            stem = points[int(np.argmin(stems(points)))]
-            stem = evolve(stems, stem, 2.0, evaluations - left, size, k)
-            start = Progress(values=stem.tolist())
-        values, knots_s = self.answering(start, KNOTS[min(k // 4, len(KNOTS) - 1)])
-        values = evolve(self.costs(knots_s, start.waits_s), values, sigma, left, size, k)
-        return self.after(progress, Progress(start.waits_s, knots_s, values.tolist()), evaluations)
+        k, rng = len(progress.history), np.random.default_rng(1000 + len(progress.history))
+        size, sigma = (12 + 4 * k, 0.5) if k % 4 == 3 else (16, (0.4, 0.2, 0.1)[k % 4])
+        starts = [each for each in (progress, *others) if each.values][: 1 if k % 4 else None]
+        if k % 4 == 3 or not starts:
+            starts = [Progress(values=random_stem(rng).tolist()) for _ in range(40)]
+        few = slice(None, None, 8)
+        start = min(starts, key=lambda each: cost_m_s(self.judged(each, self.judge, few))[0])
+        knots = min(6 * 2 ** (k // 4), 24) if self.judge.shape[2] > 1 else 0
+        start, places = self.answering(start, knots)
+        stem, answer = places_of(self._valves, knots)
+        release_s = self.judge.release_s(start.policy).mean(axis=(0, 1, 2))
+        ends_s = [-math.inf, *start.knots_s, math.inf]
+        always = release_s > 0.0
+        each = [
+            (answer[i], (ends_s[i] < release_s) & (release_s < ends_s[i + 2])) for i in range(knots)
+        ]
+        for step, blocks in (
+            (4, each[::2]), (4, each[1::2]), (4, [(stem, always)]), (2, [(places, always)]),
+        ):  # fmt: skip
+            start = self._evolve(start, blocks, step, sigma, (size, evaluations // 4), rng)
+        return self.after(progress, start, evaluations)
+
+    def _evolve(
+        self, start: Progress, blocks: Sequence[tuple[Ints, Bools]], step: int, sigma: float,
+        budget: tuple[int, int], rng: np.random.Generator,
+    ) -> Progress:  # fmt: skip
+        """Return a policy after CMA-ES (library `cma`) for each block: places, and loads that matter there.
+
+        step: from load to load. budget: policies of a generation, and of all.
+        """
+        import cma
+
+        def randn(*shape: int) -> Floats:
+            return rng.standard_normal(shape)
+
+        (size, evaluations), values = budget, start.policy[0]
+        options = {"popsize": size, "seed": np.nan, "randn": randn, "verbose": -9}
+        blocks = [(places, loads[::step]) for places, loads in blocks if loads[::step].any()]
+        searches = [
+            cma.CMAEvolutionStrategy(values[places], sigma, options) for places, _ in blocks
+        ]
+        delay_s = self.delay_s + start.waits_s
+        for _ in range(evaluations // size if blocks else 0):
+            policies = np.repeat(values[None], size + 1, axis=0)
+            for search, (places, _) in zip(searches, blocks, strict=True):
+                policies[:size, places] = search.ask()
+            some = slice(None, None, step)
+            judgement = self.judge.judge(policies, start.knots_s, delay_s, some)
+            for search, (places, loads) in zip(searches, blocks, strict=True):
+                cost = cost_m_s(judgement.under(loads))
+                search.tell(list(policies[:size, places]), list(cost[:size]))
+                values[places] = policies[int(np.argmin(cost)), places]
+        return msgspec.structs.replace(start, values=values.tolist(), history=[])
 
     def differential(self, progress: Progress, evaluations: int) -> Progress:
         """Return the progress after one more attempt of scipy's differential evolution.
 
-        Half of its first policies are near the best that this search has, all others are random.
+        The first begins with random policies, the others with the best of this search among them.
         """
         from scipy.optimize import differential_evolution
 
-        k, members = len(progress.history), 40
-        rng, knots = np.random.default_rng(2000 + k), KNOTS[min(k // 3, len(KNOTS) - 1)]
-        stems = [Progress(values=random_stem(rng).tolist()) for _ in range(members)]
-        best, knots_s = self.answering(progress if progress.values else stems[0], knots)
-        first = np.array([with_knots(stem, knots_s) for stem in stems])
-        first[:, STEM_SIZE:] += rng.uniform(-0.5, 1.0, first[:, STEM_SIZE:].shape)
-        near = best + 0.3 * rng.standard_normal((members // 2, len(best)))
-        first[: members // 2], first[0] = near, best
-        low = np.full(len(best), NO_PULSE - 0.5)
-        high = np.where(np.arange(len(best)) < STEM_SIZE, LATEST_START, 4.0)
-        costs = self.costs(knots_s)
+        k, few = len(progress.history), slice(None, None, 6)
+        start = progress if progress.values else Progress(values=[NO_PULSE] * STEM_SIZE)
+        start, places = self.answering(start, 1 + min(k, 5))
+        high = np.where(places < STEM_SIZE, LATEST_START, 4.0)
+        limits = np.stack([np.full(len(places), NO_PULSE - 0.5), high], axis=1)
+
+        def policies(columns: Floats) -> Floats:
+            values = np.repeat(start.policy, columns.shape[1], axis=0)
+            values[:, places] = columns.T
+            return values
+
         result = differential_evolution(
-            lambda columns: costs(columns.T),
-            np.stack([low, high], axis=1),
+            lambda x: cost_m_s(self.judge.judge(policies(x), start.knots_s, self.delay_s, few)),
+            limits,
+            x0=start.policy[0, places].clip(*limits.T),
             vectorized=True,
             updating="deferred",
-            init=np.clip(first, low, high),
-            maxiter=evaluations // members,
+            init="sobol",
+            popsize=max(1, 40 // len(places)),
+            maxiter=evaluations // 64,
             strategy="currenttobest1bin",
             tol=0.0,
             polish=False,
             rng=np.random.default_rng(k),
         )
-        return self.after(progress, Progress(0.0, knots_s, result.x.tolist()), evaluations)
+        values = policies(result.x[:, None])[0].tolist()
+        return self.after(progress, Progress(0.0, start.knots_s, values), evaluations)
 
 
 def softest_alone_m_s(
     parameters: ParameterSet, timing: Timing, mesh_n: float, impulse_n_s: float, evaluations: int
 ) -> float:
     """Return the softest stop in m/s that CMA-ES finds under one load, known in advance."""
-    judge = Judge(parameters, timing, np.array([impulse_n_s]), (mesh_n,), SHIFTED)
-
-    def costs(values: Floats) -> Floats:
-        return cost_m_s(judge.judge(values, (), 1.0))
-
-    rng, stops_m_s = np.random.default_rng(1), []
-    for seed in range(2):
-        points = np.array([random_stem(rng) for _ in range(96)])
-        start = points[int(np.argmin(costs(points)))]
-        best = evolve(costs, start, 1.0, evaluations // 2, 24, seed)
-        stops_m_s.append(float(judge.judge(best[None], (), 1.0).worst_m_s[0]))
-    return min(stops_m_s)
+    problem = Problem(parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s))
+    progress = Progress()
+    for _ in range(8):
+        progress = problem.cma(progress, [], evaluations // 8)
+    return progress.worst_m_s

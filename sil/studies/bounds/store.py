@@ -25,18 +25,21 @@ Search = Literal["cma", "differential"]
 SEARCHES: tuple[Search, ...] = get_args(Search)
 
 
-def read_progress(folder: Path) -> dict[Search, Progress]:
-    """Return what each search has done so far. Raises InputError for a file that is wrong."""
-    path = folder / "policy.toml"
+def read_progress(*folders: Path) -> dict[Search, Progress]:
+    """Return what each search has done so far, by the first folder that has it.
+
+    Raises InputError for a file that is wrong.
+    """
+    paths = [folder / "policy.toml" for folder in folders]
     stored: dict[Search, Progress] = {}
-    if path.exists():
+    for path in [path for path in paths if path.exists()][:1]:
         table = typed_toml.read_toml(path)
         stored = typed_toml.convert(table, dict[Search, Progress], str(path))
-    for name, each in stored.items():
-        size = STEM_SIZE + 2 * sum(ANSWER.values()) * len(each.knots_s)
-        if len(each.values) not in (0, size):
-            wrong = f"{name}.values: {len(each.values)} numbers; expected {size}"
-            raise InputError(f"{path}: {wrong}, for {len(each.knots_s)} knots")
+        for name, each in stored.items():
+            size = STEM_SIZE + 2 * sum(ANSWER.values()) * len(each.knots_s)
+            if len(each.values) not in (0, size):
+                wrong = f"{name}.values: {len(each.values)} numbers; expected {size}"
+                raise InputError(f"{path}: {wrong}, for {len(each.knots_s)} knots")
     return dict.fromkeys(SEARCHES, Progress()) | stored
 
 
@@ -46,44 +49,42 @@ def write_progress(folder: Path, progress: dict[Search, Progress]) -> None:
     for name, each in progress.items():
         lines.append(f"[{name}]")
         lines += [f"{key} = {toml_value(x)}" for key, x in msgspec.structs.asdict(each).items()]
+    folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "policy.toml", "\n".join(lines) + "\n")
 
 
 def write_campaign(folder: Path, problem: Problem, policy: Progress) -> None:
     """Write strokes of a policy as campaign.toml, and model.toml with the delays of its valves.
 
-    Strokes: for commands early, as they are and late, and each mesh force, the hardest stop and five
-    impulses over the range. Their labels state the stop.
+    Strokes: for commands early, as they are and late, and each mesh force, the least and the greatest
+    impulse and that of the hardest stop. Their labels state the stop.
     """
     judge, judgement = problem.judge, problem.judged(policy, problem.judge)
-    release_s = judge.held(policy.policy)[0].reshape(1, -1)
+    release_s = judge.release_s(policy.policy).reshape(1, -1)
     delay_s = problem.delay_s + policy.waits_s
     edges = edges_of(policy.policy, policy.knots_s, release_s, delay_s, judge.timing)
     scatter = np.arange(release_s.size) // (judge.shape[1] * judge.shape[2])
-    edges, impacts = judge.shifted(edges, scatter), judgement.impact_m_s[0]
-    some = np.linspace(0, judge.shape[2] - 1, 5).round().astype(int)
-    strokes: list[CampaignStroke] = []
+    edges, strokes = judge.shifted(edges, scatter), list[CampaignStroke]()
     for k, m in np.ndindex(judge.shape[:2]):
-        for i in np.unique([*some, int(np.argmax(impacts[k, m]))]):
+        impacts = judgement.impact_m_s[0, k, m]
+        for i in sorted({0, int(np.argmax(impacts)), len(impacts) - 1}):
             conditions = replace(
                 GEARBOX.cases[0],
                 mesh_force_n=judge.mesh_n[m],
                 sync_impulse_n_s=float(judge.impulses_n_s[i]),
-                commands=tuple(commands_of(edges, np.ravel_multi_index((k, m, i), judge.shape))),
+                commands=tuple(
+                    commands_of(edges, int(np.ravel_multi_index((k, m, i), judge.shape)))
+                ),
             )
             label = f"{judge.mesh_n[m]:g} N, {judge.impulses_n_s[i]:g} N s, commands "
-            label += f"{1e3 * judge.scatter[k].shift_s:+g} ms: {impacts[k, m, i]:.4f} m/s"
+            label += f"{1e3 * judge.scatter[k].shift_s:+g} ms: {impacts[i]:.4f} m/s"
             strokes.append(CampaignStroke(f"stroke_{len(strokes):02}.csv", label, conditions))
-    first = strokes[0].conditions
-    campaign = Campaign(
-        *(folder, folder.name, "length", first.atmosphere_pa, first.temperature_k, 1000.0),
-        strokes=tuple(strokes),
-    )
+    air = GEARBOX.cases[0].atmosphere_pa, GEARBOX.cases[0].temperature_k
+    campaign = Campaign(folder, folder.name, "length", *air, 1000.0, strokes=tuple(strokes))
     write_atomically(folder / "campaign.toml", campaign_toml(campaign, strokes))
-    delays = {"D_rise": problem.timing.rise_s, "D_fall": problem.timing.fall_s}
-    lines = ["[base]", 'model = "nominal"', "", "[valve]"]
-    lines += [
-        f'{name} = {{ value = {delay_s}, unit = "s", source = "study bounds" }}'
-        for name, delay_s in delays.items()
+    delays = zip(("D_rise", "D_fall"), problem.timing, strict=True)
+    lines = [
+        f'{name} = {{ value = {s}, unit = "s", source = "study bounds" }}' for name, s in delays
     ]
-    write_atomically(folder / "model.toml", "\n".join(lines) + "\n")
+    text = "\n".join(["[base]", 'model = "nominal"', "", "[valve]", *lines])
+    write_atomically(folder / "model.toml", text + "\n")
