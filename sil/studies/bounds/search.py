@@ -247,12 +247,20 @@ class Problem:
         return self.after(progress, Progress(0.0, start.knots_s, values), evaluations)
 
 
-def softest_alone_m_s(
-    parameters: ParameterSet, timing: Timing, mesh_n: float, impulse_n_s: float, evaluations: int
-) -> float:
-    """Return the softest stop in m/s that CMA-ES finds under one load, known in advance."""
+def softest_alone(
+    parameters: ParameterSet,
+    timing: Timing,
+    mesh_n: float,
+    impulse_n_s: float,
+    evaluations: int,
+    others: Sequence[Progress] = (),
+) -> Progress:
+    """Return the softest policy that CMA-ES finds under one load, known in advance.
+
+    others: policies of other loads, to begin with.
+    """
     problem = Problem(parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s))
     progress = Progress()
-    for _ in range(8):
-        progress = problem.cma(progress, [], evaluations // 8)
-    return progress.worst_m_s
+    for _ in range(4):
+        progress = problem.cma(progress, others, evaluations // 4)
+    return progress
