@@ -49,7 +49,9 @@ def study_of_one_row(folder: Path, attempts: int) -> Path:
 
 
 @pytest.mark.parametrize("timing", REACHED_M_S)
-def test_stored_policies_are_as_soft_as_has_been_reached(timing: tuple[float, float, float]) -> None:
+def test_stored_policies_are_as_soft_as_has_been_reached(
+    timing: tuple[float, float, float],
+) -> None:
     names = ("opening_s", "closing_s", "delay_s")
     wanted = RowKeys(**dict(zip(names, timing, strict=True)), mesh_n=[1300.0])
     rows = [convert(each.settings, RowKeys) for each in load_study("bounds").rows()]
