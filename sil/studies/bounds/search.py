@@ -123,7 +123,7 @@ class Problem:
         return judge.judge(policy.policy, policy.knots_s, delay_s, loads)
 
     def answering(self, policy: Progress, knots: int) -> tuple[Progress, Ints]:
-        """Return the same policy with knots over its releases, and the places of what may change.
+        """Return the same policy with knots over its releases, and places [n] of unitless values that may change.
 
         One that has no answer gets pulses of no length; of a valve that may not move it has none.
         """
