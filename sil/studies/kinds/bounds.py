@@ -83,7 +83,7 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
     """Attempts of each search on a row, stored ones included; 0: judge the stored policies."""
     evaluations: Annotated[int, msgspec.Meta(ge=100)] = 4000
     """Policies that an attempt judges."""
-    known_evaluations: Annotated[int, msgspec.Meta(ge=800)] = 3000
+    known_evaluations: Annotated[int, msgspec.Meta(ge=100)] = 3000
     """Policies that are judged for each load that is known in advance."""
 
     def columns(self) -> tuple[str, ...]:
@@ -159,11 +159,13 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
                 x, y = MS * numbers["delay_s"][rows], numbers["worst_m_s"][rows]
                 lines.append(Series(valves, x, y, f"series{k}", "marked"))
             rules = [
-                Rule(float(np.nanmax(numbers[name][loads == mesh])), text, "ink", "y", "dashed")
+                Rule(
+                    float(np.fmax.reduce(numbers[name][loads == mesh])), text, "ink", "y", "dashed"
+                )
                 for name, text in COLUMNS.items()
                 if name in ("open_m_s", "damper_m_s")
             ]
-            known = np.full(table.size, np.nanmax(numbers["known_m_s"][loads == mesh]))
+            known = np.full(table.size, np.fmax.reduce(numbers["known_m_s"][loads == mesh]))
             x = MS * numbers["delay_s"][order]
             lines.append(Series(COLUMNS["known_m_s"], x, known, "ink", dashed=True))
             panel = Panel("Hardest stop", "m/s", lines, rules=rules, limits=(0.0, 1.6))

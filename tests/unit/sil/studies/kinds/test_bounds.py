@@ -32,10 +32,10 @@ name = "one"
 kind = "bounds"
 attempts = {attempts}
 evaluations = 100
-known_evaluations = 800
+known_evaluations = 100
 [[variant]]
-name = "8/35 ms; 10 ms"
-set = {{ opening_s = 0.008, closing_s = 0.035, delay_s = 0.01 }}
+name = "8/35 ms; 48 ms"
+set = {{ opening_s = 0.008, closing_s = 0.035, delay_s = 0.048 }}
 [[load]]
 name = "1,300 N"
 set = {{ mesh_n = [1300.0] }}
@@ -61,7 +61,7 @@ def test_stored_policies_are_as_soft_as_has_been_reached(
 
 
 def test_stored_policies_are_judged_again(tmp_path: Path) -> None:
-    path, name = study_of_one_row(tmp_path, 5), "open_8_close_35_delay_10_mesh_1300"
+    path, name = study_of_one_row(tmp_path, 5), "open_8_close_35_delay_48_mesh_1300"
     shutil.copytree(STORED / name, tmp_path / "bounds" / name)
     out = tmp_path / "out"
     assert main(["whatif", str(path), "--rejudge", "--out", str(out)]) == 0
@@ -71,7 +71,7 @@ def test_stored_policies_are_judged_again(tmp_path: Path) -> None:
     assert numbers["fine_m_s"][0] == pytest.approx(best, abs=0.01)
     assert numbers["open_m_s"][0] == pytest.approx(1.365, abs=1e-3)
     assert numbers["damper_m_s"][0] == pytest.approx(0.602, abs=1e-3)
-    assert "8/35 ms; 10 ms" in (out / "bounds.md").read_text()
+    assert "8/35 ms; 48 ms" in (out / "bounds.md").read_text()
     stored = (out / "policies" / name / "campaign.toml").read_text()
     assert stored == (STORED / name / "campaign.toml").read_text()
 
@@ -108,7 +108,7 @@ def test_slower_valves_are_imitated_stop_for_stop() -> None:
 
 @pytest.mark.slow
 def test_a_search_is_stored_and_continues(tmp_path: Path) -> None:
-    out, name = tmp_path / "out", "open_8_close_35_delay_10_mesh_1300"
+    out, name = tmp_path / "out", "open_8_close_35_delay_48_mesh_1300"
     assert main(["whatif", str(study_of_one_row(tmp_path, 1)), "--out", str(out)]) in (0, 1)
     first = read_progress(out / "policies" / name)
     assert [len(each.history) for each in first.values()] == [1, 1]
