@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from plant.parameters import load
 from sil.cli import main
-from sil.studies.bounds.judge import NOMINAL, Judge
-from sil.studies.bounds.policy import NO_PULSE, STEM_SIZE, UNIT_S, Timing
+from sil.studies.bounds.judge import NOMINAL, PLAIN, Judge
+from sil.studies.bounds.policy import UNIT_S, Timing
 from sil.studies.bounds.store import read_progress
 from sil.studies.kinds.bounds import RowKeys
 from sil.studies.load_study import load_study, shipped
@@ -93,7 +93,7 @@ def test_slower_valves_are_imitated_stop_for_stop() -> None:
     """Quicker valves that move as slower ones, sooner, stop under each load as those do."""
     stop_m_s = []
     for opening_s, closing_s, begin_s in ((0.008, 0.035, 0.12), (0.002, 0.002, 0.12)):
-        values = np.full((1, STEM_SIZE), NO_PULSE)
+        values = PLAIN.copy()
         values[0, [6, 10]] = begin_s / UNIT_S, (0.04 - closing_s) / UNIT_S
         judge = Judge(
             load("nominal"),
