@@ -131,10 +131,8 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
         best = stored[origin][name]
         if not math.isfinite(best.worst_m_s):
             return study.without_figures("failed", "no policy arrives in time under every load")
-        known = [
-            known_m_s(self.model, problem.timing, mesh_n, self.known_evaluations)
-            for mesh_n in {min(keys.mesh_n), max(keys.mesh_n)}
-        ]
+        ends_n, budget = {min(keys.mesh_n), max(keys.mesh_n)}, self.known_evaluations
+        known = [known_m_s(self.model, problem.timing, each, budget) for each in ends_n]
         figures = judged(rows[origin].problem(self.model), best) | {
             "known_m_s": max(known),
             "half_m_s": best.worst_after(0.5),
