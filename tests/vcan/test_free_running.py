@@ -112,19 +112,6 @@ def test_a_recorded_shift_in_real_time_has_each_message_once_and_replays(tmp_pat
     require_replay(log, ("ValveCommand.duty", "SafetyBlow."), EDGES)
 
 
-@pytest.mark.parametrize("name", ["lab_n_b", "lab_b_n"])
-def test_shipped_expectations_hold_with_free_clocks(tmp_path: Path, name: str) -> None:
-    jitters = []
-    for attempt in range(3):
-        folder = tmp_path / f"run{attempt}"
-        done = run(folder, name, "--transport", "vcan0", "--realtime")
-        jitters.append(largest_jitter_s(folder))
-        if jitters[-1] < EARLY_S:
-            assert done.returncode == 0, done.stdout
-            return
-    pytest.skip(f"this machine is too busy to keep the periods: jitter {jitters} s")
-
-
 def repeats(first: Arrival, second: Arrival) -> bool:
     """Say whether a frame came again; a machine that stands still may skip a whole round of the counter."""
     soon = second.time_ns - first.time_ns < ROUND_NS
