@@ -8,7 +8,13 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from can_dbc.user_file import ProcessExit, exits_raise, read_user_file, read_user_text
+from can_dbc.user_file import (
+    ProcessExit,
+    error_text,
+    exits_raise,
+    read_user_file,
+    read_user_text,
+)
 
 
 def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
@@ -51,3 +57,23 @@ def test_an_exit_of_a_users_code_is_an_error_but_ends_a_process_that_it_forked()
             os._exit(7)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
     assert os._exit is leave
+
+
+def error_of(path: Path, source: str) -> str:
+    path.write_text(source)
+    try:
+        exec(compile(source, str(path), "exec"), {})
+    except Exception as error:
+        return error_text(path, 1, error)
+    raise AssertionError("the user's code did not fail")
+
+
+def test_an_error_of_a_users_python_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "own.py"
+    divides = "def inner():\n    return 1 / 0\ninner()\n"
+    assert error_of(path, divides) == f"{path}:2: ZeroDivisionError: division by zero"
+    broken = error_of(path, "x = 1\ny = (\n")
+    assert broken.startswith(f"{path}:2: SyntaxError: ") and broken.endswith(
+        "; expected valid Python"
+    )
+    assert error_text(path, 7, KeyError()) == f"{path}:7: KeyError"
