@@ -5,12 +5,12 @@ Checked by: tests/unit/sil/simulation/test_inputs.py
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -87,19 +87,26 @@ def _needed_by(path: Path, passed: set[Path]) -> Iterator[Path]:
             table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
             yield from named_files(table, (path.parent,), passed)
         elif path.suffix == ".py":
-            yield from _imported(path)
+            yield from _imported(path, passed)
         elif path.suffix in (".c", ".h"):
             yield from path.parent.glob("*.[ch]")
     except (OSError, ValueError, SyntaxError):
         return
 
 
-def _imported(path: Path) -> Iterator[Path]:
+def _imported(path: Path, passed: set[Path]) -> Iterator[Path]:
     """Yield the files that a Python file imports, libraries and this program excepted."""
-    libraries = (sys.prefix, sys.base_prefix)
-    own = [entry for entry in sys.path if not str(Path(entry).resolve()).startswith(libraries)]
-    finder = ModuleFinder([str(path.parent), *own], excludes=PACKAGES)
-    finder.run_script(str(path))
-    for module in finder.modules.values():
-        if file := getattr(module, "__file__", None):
-            yield Path(file).resolve()
+    libraries = ("site-packages", "dist-packages")
+    own = [Path(entry) for entry in sys.path if Path(entry).name not in libraries]
+    own = [folder for folder in own if not str(folder.resolve()).startswith(sys.base_prefix)]
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        names, folders = [], [path.parent, *own]
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module or ''}.{alias.name}".strip(".") for alias in node.names]
+            folders = [path.parents[node.level - 1]] if node.level else folders
+        for parts in (name.split(".") for name in names if name.partition(".")[0] not in PACKAGES):
+            stems = [f.joinpath(*parts[: k + 1]) for f in folders for k in range(len(parts))]
+            files = [str(file) for s in stems for file in (f"{s}.py", s / "__init__.py")]
+            yield from named_files(files, (Path(),), passed)

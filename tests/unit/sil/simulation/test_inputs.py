@@ -36,10 +36,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "base.toml": BASE,
         "my.toml": 'name = "my"\nduration_s = 0.2\ninitial_gear = "neutral"\nfirmware = "own.py:Own"\n',
         "own.py": "import numpy\nfrom controller.firmware import Firmware\nfrom helper import GAIN\n",
-        "helper.py": "GAIN = 1\n",
+        "helper.py": "import parts.curve\nGAIN = 1\n",
+        "parts/curve.py": "from . import knots\n",  # a folder without __init__.py
+        "parts/knots.py": "",
         "unrelated.py": "",
     }
     for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
     return tmp_path
 
@@ -49,8 +52,9 @@ def test_every_file_that_decides_a_row_counts(folder: Path) -> None:
         return load_study(str(folder / "study.toml")).input_digests()
 
     before = digests()
-    named = {Path(name).name for name in before if str(folder) in name}
-    assert named == {"my.toml", "model.toml", "base.toml", "own.py", "helper.py"}
+    named = {str(Path(name).relative_to(folder)) for name in before if str(folder) in name}
+    python = {"own.py", "helper.py", "parts/curve.py", "parts/knots.py"}
+    assert named == {"my.toml", "model.toml", "base.toml", *python}
     assert {"the study", "its scenario", "the program", "numpy", "opc4-sil"} <= before.keys()
     assert changed_inputs(before, digests()) == []
     for name in sorted(named - {"my.toml"}):
