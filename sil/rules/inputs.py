@@ -95,7 +95,7 @@ def _grace_s(circumstances: Circumstances) -> float:
 
 
 def blind_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """Return the first report of a gear without valid position samples."""
+    """No gear is confirmed without valid position samples."""
     for step in _positions(record, circumstances):
         blind_s = step.at_s - step.valid_s
         if step.status.confirmed != Gear.UNKNOWN and blind_s > _grace_s(circumstances):
@@ -108,7 +108,7 @@ def blind_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def unrequested_push(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """Return the first push out of rest without a valid request for another gear."""
+    """No push begins out of rest without a valid request."""
     before: _Step | None = None
     for step in _requests(record, circumstances):
         rested = before is not None and before.status.state is ShiftState.IDLE
@@ -122,15 +122,15 @@ def unrequested_push(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def false_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """Return the first report of a lost channel that is valid, or that the firmware still waits for."""
+    """Position and request are not reported lost while their frames arrive."""
     if circumstances.disturbed or not circumstances.true_samples:
         return None
-    grace_s = _grace_s(circumstances)
-    startup_s = circumstances.control.e2e.startup_s * circumstances.slow_clock - grace_s
-    for fault, steps in (
-        (Fault.POSITION_LOST, _positions(record, circumstances)),
-        (Fault.REQUEST_LOST, _requests(record, circumstances)),
+    grace_s, e2e = _grace_s(circumstances), circumstances.control.e2e
+    for fault, steps, timeout_s in (
+        (Fault.POSITION_LOST, _positions(record, circumstances), e2e.position_timeout_s),
+        (Fault.REQUEST_LOST, _requests(record, circumstances), e2e.request_timeout_s),
     ):
+        startup_s = min(e2e.startup_s, timeout_s) * circumstances.slow_clock - grace_s
         since_s, before = math.inf, Fault.NONE
         waits = _begin_s(record) == 0.0
         for step in steps:
@@ -145,7 +145,7 @@ def false_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def unsampled_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """Return the first gear that is confirmed without samples in a row within its window."""
+    """No gear is confirmed before its number of samples in a row within its window."""
     control = circumstances.control
     if circumstances.disturbed or not circumstances.true_samples or control.ns_per_instruction:
         return None
@@ -165,6 +165,26 @@ def unsampled_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     return None
 
 
+def unconfirmed_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No gear stays unconfirmed at rest while the samples lie within its window."""
+    control = circumstances.control
+    if circumstances.disturbed:
+        return None
+    settled_s = 0.2 + (3.0 / control.filter.fc_hz if control.filter.enabled else 0.0)
+    wanted = control.windows.samples + math.ceil(settled_s / control.sensor.period_s)
+    run, window = 0, Gear.UNKNOWN
+    for step in _positions(record, circumstances):
+        for pulse in step.arrived:
+            gear = _window_of(_measured_m(pulse, control.sensor), control.windows)
+            run, window = (run + 1 if gear is window else 1), gear
+        status = step.status
+        if status.state is not ShiftState.IDLE or status.faults & UNSEEN:
+            run = 0
+        if run >= wanted and window is not Gear.UNKNOWN and status.confirmed == Gear.UNKNOWN:
+            return step.at_s, f"{window.name.lower()} is not confirmed after {run} samples in a row"
+    return None
+
+
 def _measured_m(pulse: PositionPulse, sensor: SensorConfig) -> float:
     warmth = 1.0 + sensor.temp_coeff_per_k * (pulse.coil_temperature_k - sensor.t_ref_k)
     return (pulse.pulse_s / warmth - sensor.t_mid_s) / sensor.slope_s_per_m
@@ -179,24 +199,27 @@ def _window_of(position_m: float, windows: WindowConfig) -> Gear:
 
 
 def false_position(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """Return the first position estimate that is far from where the stay was within the time of sight."""
+    """No position is reported that the stay was not near within the time of sight."""
     if not (circumstances.true_samples and math.isfinite(circumstances.sight_s)):
         return None
     time_s, position_m = record.truth["time_s"], record.truth["position_m"]
     low_pass = circumstances.control.filter
     back_s = circumstances.sight_s + 2.0 * circumstances.control.e2e.position_timeout_s
     back_s += 2.5 / low_pass.fc_hz if low_pass.enabled else 0.0
-    for entry, status in accepted_status(record):
-        if (
-            status is None
-            or entry.sender != SENDER
-            or status.faults & UNSEEN
-            or status.state is ShiftState.INIT
-        ):
+    afresh_s = math.inf  # when the estimate began that is reported
+    for step in _positions(record, circumstances):
+        at_s, status = step.at_s, step.status
+        if step.valid_s < at_s or math.isinf(afresh_s):
+            afresh_s = at_s if step.valid_s >= at_s and step.arrived else math.inf
+        unseen = status.faults & UNSEEN or status.state is ShiftState.INIT
+        latched = (
+            status.state in (ShiftState.FAULT, ShiftState.INIT) and not circumstances.disturbed
+        )
+        if unseen and not (latched and status.faults & UNSEEN in (0, Fault.POSITION_LOST)):
             continue
-        at_s = entry.released_ns / NS_PER_S
-        low, high = np.searchsorted(time_s, [at_s - back_s, at_s])
-        if at_s - back_s < time_s[0] or high <= low:
+        since_s = max(at_s - back_s, afresh_s - circumstances.sight_s)
+        low, high = np.searchsorted(time_s, [since_s, at_s])
+        if since_s < time_s[0] or high <= low:
             continue
         past_m = position_m[low:high]
         away_m = max(
@@ -204,6 +227,6 @@ def false_position(record: RunRecord, circumstances: Circumstances) -> Broken:
         )
         overshoot_m = 0.2 * float(np.ptp(past_m))
         if away_m > 0.0015 + overshoot_m:
-            what = f"the position is reported {1e3 * away_m:.1f} mm from anywhere that the stay was within {1e3 * back_s:.0f} ms"
+            what = f"the position is reported {1e3 * away_m:.1f} mm from anywhere that the stay was within {1e3 * (at_s - since_s):.0f} ms"
             return at_s, what
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,14 @@ Reports = list[tuple[BusFrame, ControllerStatus | None]]
 
 def accepted_status(record: RunRecord) -> Reports:
     """Return the status frames that pass end-to-end protection; None where it turns invalid."""
-    receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
-    reports: Reports = []
-    for entry in record.frames_of(can_id_of(ControllerStatus)):
+    return accepted(record, ControllerStatus)
+
+
+def accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
+    """Return the frames of a message that pass end-to-end protection; None where it turns invalid."""
+    receiver = Receiver(kind, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
+    reports: list[tuple[BusFrame, Any]] = []
+    for entry in record.frames_of(can_id_of(kind)):
         status = receiver.receive(entry.arrival_ns, entry.frame)
         if receiver.state(entry.arrival_ns) is not E2eState.VALID:
             reports.append((entry, None))

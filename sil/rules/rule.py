@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from controller.settings import ControlConfig
+from controller.config import FirmwareConfig
 from sil.recording.run_record import RunRecord
 
 
@@ -28,7 +28,7 @@ class Circumstances:
     controller's clock.
     """
 
-    control: ControlConfig
+    control: FirmwareConfig
     driver_timeout_s: float
     late_s: float = 0.0
     sight_s: float = math.inf

@@ -36,7 +36,7 @@ from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import true_runs
 from sil.rules import inputs
-from sil.rules.reports import SENDER, accepted_status, falsely_reported
+from sil.rules.reports import SENDER, accepted, accepted_status, falsely_reported
 from sil.rules.rule import Circumstances, Rule
 
 PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
@@ -70,6 +70,7 @@ def orphaned(record: RunRecord, circumstances: Circumstances) -> NDArray[np.bool
 
 
 def _orphan_coil(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No coil is energised without a living controller, longer than the valve driver's timeout."""
     rows = np.flatnonzero(orphaned(record, circumstances))
     if not len(rows):
         return None
@@ -77,6 +78,7 @@ def _orphan_coil(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def _false_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No gear is reported that the stay is not in, longer than a motion takes to be observed."""
     time_s = record.truth["time_s"]
     longest_s = circumstances.sight_s + circumstances.repeated_s
     for begin, end in true_runs(falsely_reported(record, circumstances.control.windows)):
@@ -90,19 +92,20 @@ def _false_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
 def _energised(record: RunRecord, closed: float) -> dict[Chamber, list[float]]:
     """Return when, s, the controller sent a command or a blow that energises each chamber's coil."""
     sent: dict[Chamber, list[float]] = {Chamber.B: [], Chamber.N: [], Chamber.F: []}
-    for entry, command in record.each(ValveCommand):
-        if entry.sender == SENDER:
+    for entry, command in accepted(record, ValveCommand):
+        if entry.sender == SENDER and command is not None:
             duties = (command.duty_b, command.duty_n, command.duty_f)
             for chamber, duty in zip(sent, duties, strict=True):
                 if duty > closed:
                     sent[chamber].append(entry.released_ns / NS_PER_S)
-    for entry, blow in record.each(SafetyBlow):
-        if entry.sender == SENDER and blow.active and blow.chamber is not Chamber.NONE:
+    for entry, blow in accepted(record, SafetyBlow):
+        if entry.sender == SENDER and blow is not None and blow.active and blow.chamber in sent:
             sent[blow.chamber].append(entry.released_ns / NS_PER_S)
     return {chamber: sorted(set(times)) for chamber, times in sent.items()}
 
 
 def _opposed_chambers(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Backward and forward are not filled sooner after each other than the interlock."""
     control = circumstances.control
     sent = _energised(record, control.duty_closed)
     least_s = (control.shift.interlock_s - 1e-6) * circumstances.slow_clock
@@ -116,10 +119,12 @@ def _opposed_chambers(record: RunRecord, circumstances: Circumstances) -> Broken
 
 
 def _coil_on_time(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No coil is energised longer than a push may last with its blow."""
     if circumstances.disturbed:
         return None  # what was lost may have been the commands that switch it off
-    control = circumstances.control
-    most_s = control.shift.push_timeout_s + 2.0 * control.blow.duration_s + 0.1
+    control, shift = circumstances.control, circumstances.control.shift
+    attempts = 1 if shift.retry_pause_s > 3.0 * control.period_s else shift.retries + 1
+    most_s = attempts * shift.push_timeout_s + 2.0 * control.blow.duration_s + 0.1
     most_s *= circumstances.slow_clock
     for chamber, times in _energised(record, control.duty_closed).items():
         begin_s = last_s = -math.inf
@@ -163,6 +168,7 @@ def _answer_s(circumstances: Circumstances, before: ControllerStatus | None, tar
 
 
 def _unanswered_request(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Every request is answered in time, by the gear or by a fault."""
     if circumstances.disturbed or circumstances.down_s:
         return None  # what neither side received is nobody's to answer
     time_s = record.truth["time_s"]
@@ -187,29 +193,33 @@ def _is_answer(status: ControllerStatus, target: Gear) -> bool:
     return refused or status.confirmed == target
 
 
+def _reports(record: RunRecord) -> Iterator[tuple[float, ControllerStatus]]:
+    """Yield what the controller reported, with the time in s at which it was sent."""
+    for entry, status in record.each(ControllerStatus):
+        if entry.sender == SENDER:
+            yield entry.released_ns / NS_PER_S, status
+
+
 def _early_refusal(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No push is given up before all its attempts have timed out."""
     shift, period_s = circumstances.control.shift, circumstances.control.period_s
     least_s = (shift.retries + 1) * shift.push_timeout_s + shift.retries * shift.retry_pause_s
     least_s = (least_s - 3.0 * period_s) * circumstances.slow_clock
     pushed_s = -math.inf
     timed_out = False
-    for entry, status in record.each(ControllerStatus):
-        if entry.sender != SENDER:
-            continue
-        at_s = entry.released_ns / NS_PER_S
+    for at_s, status in _reports(record):
         expired = Fault.SHIFT_TIMEOUT in status.faults
         if expired and not timed_out and at_s - pushed_s < least_s:
             what = f"a push is given up after {at_s - pushed_s:.2f} s; its attempts last {least_s:.2f} s"
             return None if circumstances.disturbed else (at_s, what)
         timed_out = expired
-        if (
-            status.state not in UNDER_WAY
-        ):  # a push goes on after a blow during which the stay slipped
+        if status.state not in UNDER_WAY:  # a push goes on after a blow in which the stay slipped
             pushed_s = at_s
     return None
 
 
 def _too_many_attempts(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No push is tried more often than its retries allow."""
     if circumstances.disturbed:
         return None
     most = circumstances.control.shift.retries + 1
@@ -231,7 +241,56 @@ def _too_many_attempts(record: RunRecord, circumstances: Circumstances) -> Broke
     return None
 
 
+def _early_rest(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No rest begins without a gear before the search for it has timed out."""
+    control = circumstances.control
+    if circumstances.disturbed or control.ns_per_instruction:
+        return None
+    least_s = (control.shift.init_timeout_s - 3.0 * control.period_s) * circumstances.slow_clock
+    searches_s, before = -math.inf, ShiftState.INIT  # the record may begin within a search
+    for at_s, status in _reports(record):
+        if status.state is ShiftState.INIT and before is not ShiftState.INIT:
+            searches_s = at_s
+        ends = before is ShiftState.INIT and status.state is ShiftState.IDLE
+        if ends and status.confirmed == Gear.UNKNOWN and at_s - searches_s < least_s:
+            what = f"ready without a gear after a search of {at_s - searches_s:.2f} s; it lasts {least_s:.2f} s"
+            return at_s, what
+        before = status.state
+    return None
+
+
+def _cut_blow(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No gear but neutral is held before its blow has lasted as long as it is set."""
+    control = circumstances.control
+    cut = control.blow.cut == "confirmation" or control.strategy == "blow_cut"
+    if cut or circumstances.disturbed or control.ns_per_instruction:
+        return None
+    least_s = (control.blow.duration_s - 2.0 * control.period_s) * circumstances.slow_clock
+    blows_s, before = math.inf, ShiftState.HOLD
+    for at_s, status in _reports(record):
+        if before is not ShiftState.BLOW:
+            blows_s = at_s
+        engaged = status.confirmed in (Gear.BACKWARD, Gear.FORWARD)
+        ends = before in (*PUSHING, ShiftState.BLOW) and status.state is ShiftState.HOLD
+        if engaged and ends and at_s - blows_s < least_s:
+            gear = status.confirmed.name.lower()
+            return at_s, f"the blow into {gear} ends after {1e3 * (at_s - blows_s):.0f} ms"
+        before = status.state
+    return None
+
+
+def _unnamed_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No fault state is reported without the fault that led to it."""
+    unnamed = ~(Fault.REQUEST_LOST | Fault.SPEEDS_LOST | Fault.REQUEST_INVALID)
+    for entry, status in accepted_status(record):
+        failed = status is not None and status.state is ShiftState.FAULT and entry.sender == SENDER
+        if failed and status is not None and not status.faults & unnamed:
+            return entry.released_ns / NS_PER_S, "the fault state is reported without a fault"
+    return None
+
+
 def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No error of the firmware itself is reported (INTERNAL)."""
     for entry, status in accepted_status(record):
         if status is not None and entry.sender == SENDER and Fault.INTERNAL in status.faults:
             return entry.released_ns / NS_PER_S, "the firmware caught an error of its own"
@@ -239,6 +298,7 @@ def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def _sender_rules(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Every frame of the controller has the right counter and checksum."""
     if circumstances.disturbed or circumstances.down_s:
         return None  # the record holds what the bus made of the frames
     for kind in (ValveCommand, SafetyBlow, ControllerStatus):
@@ -252,6 +312,7 @@ def _sender_rules(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def _outputs_in_range(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """Every value that the controller sends is within the range of the DBC."""
     if circumstances.disturbed:
         return None
     for kind in (ValveCommand, SafetyBlow, ControllerStatus):
@@ -263,95 +324,27 @@ def _outputs_in_range(record: RunRecord, circumstances: Circumstances) -> Broken
     return None
 
 
-RULES = (
-    Rule(
-        "orphan_coil",
-        "No coil is energised without a living controller, longer than the valve driver's timeout.",
-        "valve driver of the plant; ISO 26262-6, safe state",
-        _orphan_coil,
-    ),
-    Rule(
-        "false_gear",
-        "No gear is reported that the stay is not in, longer than a motion takes to be observed.",
-        "thesis 2.2.4: confirmation by position",
-        _false_gear,
-    ),
-    Rule(
-        "blind_gear",
-        "No gear is confirmed without valid position samples.",
-        "controller.e2e.position_timeout_s; AUTOSAR PRS E2E Protocol",
-        inputs.blind_gear,
-    ),
-    Rule(
-        "unsampled_gear",
-        "A gear is confirmed by its number of samples in a row within its window.",
-        "controller.windows.samples",
-        inputs.unsampled_gear,
-    ),
-    Rule(
-        "false_position",
-        "The position reported is near where the stay was within the time of sight.",
-        "thesis 2.2.4: position sensor and filter",
-        inputs.false_position,
-    ),
-    Rule(
-        "unrequested_push",
-        "No push begins out of rest without a valid request.",
-        "controller.e2e.request_timeout_s; AUTOSAR PRS E2E Protocol",
-        inputs.unrequested_push,
-    ),
-    Rule(
-        "false_loss",
-        "Position and request are not reported lost while their frames arrive.",
-        "controller.e2e.startup_s; AUTOSAR PRS E2E Protocol",
-        inputs.false_loss,
-    ),
-    Rule(
-        "opposed_chambers",
-        "Backward and forward are not filled sooner after each other than the interlock.",
-        "controller.shift.interlock_s",
-        _opposed_chambers,
-    ),
-    Rule(
-        "coil_on_time",
-        "No coil is energised longer than a push may last with its blow.",
-        "controller.shift.push_timeout_s, controller.blow.duration_s",
-        _coil_on_time,
-    ),
-    Rule(
-        "unanswered_request",
-        "Every request is answered in time, by the gear or by a fault.",
-        "shift state machine: push, retries, fault",
-        _unanswered_request,
-    ),
-    Rule(
-        "early_refusal",
-        "No push is given up before all its attempts have timed out.",
-        "controller.shift.push_timeout_s, controller.shift.retries",
-        _early_refusal,
-    ),
-    Rule(
-        "too_many_attempts",
-        "No push is tried more often than its retries allow.",
-        "controller.shift.retries",
-        _too_many_attempts,
-    ),
-    Rule(
-        "internal_fault",
-        "The firmware never reports INTERNAL, an error of its own.",
-        "controller.firmware",
-        _internal_fault,
-    ),
-    Rule(
-        "sender_rules",
-        "The controller's frames have right counters and checksums.",
-        "AUTOSAR PRS E2E Protocol, profile 2",
-        _sender_rules,
-    ),
-    Rule(
-        "outputs_in_range",
-        "Every value that the controller sends is within the range of the DBC.",
-        "can_dbc/opc4.dbc",
-        _outputs_in_range,
-    ),
+RULES = tuple(
+    Rule(first.__name__.lstrip("_"), first.__doc__ or "", source, first)
+    for first, source in (
+        (_orphan_coil, "valve driver of the plant; ISO 26262-6, safe state"),
+        (_false_gear, "thesis 2.2.4: confirmation by position"),
+        (inputs.blind_gear, "controller.e2e.position_timeout_s; AUTOSAR PRS E2E Protocol"),
+        (inputs.unsampled_gear, "controller.windows.samples"),
+        (inputs.unconfirmed_gear, "shift state machine: a gear is confirmed again at rest"),
+        (inputs.false_position, "thesis 2.2.4: position sensor and filter"),
+        (inputs.unrequested_push, "controller.e2e.request_timeout_s; AUTOSAR PRS E2E Protocol"),
+        (inputs.false_loss, "controller.e2e.startup_s; AUTOSAR PRS E2E Protocol"),
+        (_opposed_chambers, "controller.shift.interlock_s"),
+        (_coil_on_time, "controller.shift.push_timeout_s, controller.blow.duration_s"),
+        (_unanswered_request, "shift state machine: push, retries, fault"),
+        (_early_refusal, "controller.shift.push_timeout_s, controller.shift.retries"),
+        (_too_many_attempts, "controller.shift.retries"),
+        (_early_rest, "controller.shift.init_timeout_s"),
+        (_cut_blow, "thesis 6.1; controller.blow.duration_s"),
+        (_unnamed_fault, "shift state machine: a fault is latched with its state"),
+        (_internal_fault, "controller.firmware"),
+        (_sender_rules, "AUTOSAR PRS E2E Protocol, profile 2"),
+        (_outputs_in_range, "can_dbc/opc4.dbc"),
+    )
 )

@@ -89,7 +89,8 @@ def _add_request(table: Table, rng: random.Random, at_s: float | None = None) ->
 
 def _add_fault(table: Table, rng: random.Random) -> None:
     group = rng.choice(list(vocabulary().values()))
-    state(table, rng.choice(group), rng)
+    kind = rng.choice(sorted({fault.kind for fault in group}))
+    state(table, rng.choice([fault for fault in group if fault.kind == kind]), rng)
 
 
 def _set(table: Table, path: str, rng: random.Random) -> None:

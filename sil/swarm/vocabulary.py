@@ -45,7 +45,7 @@ def vocabulary() -> dict[str, list[Fault]]:
             nodes += [Fault("fault", kind, whom) for whom in typing.get_args(hints["node"])]
             continue
         messages = typing.get_args(hints["message"]) if "message" in hints else ("",)
-        stated = [Fault("fault", kind, m) for m in messages]
+        stated = [Fault("fault", kind, m) for m in messages for _ in range(1 + 3 * (m in guarded))]
         if fault is FrozenCounter:  # frames without a counter are refused
             stated = [f for f in stated if f.whom in guarded]
         (frames if "probability" in hints else intruders).extend(stated)

@@ -58,6 +58,36 @@ def test_a_position_that_the_stay_has_not_been_at() -> None:
     assert broken(changed(1.0, estimate_m=0.0, faults=Fault.POSITION_LOST), disturbed=True) == []
 
 
+def test_an_estimate_that_starts_afresh_knows_nothing_older() -> None:
+    """The stay moves by its stroke from 0.13 s on while no samples come."""
+    record = healthy().record
+    gap = [
+        entry
+        for entry in record.frames
+        if entry.frame.can_id != can_id_of(PositionPulse) or not 0.12e9 < entry.arrival_ns < 0.22e9
+    ]
+    record = dataclasses.replace(record, frames=gap)
+    stale = sent_otherwise(
+        ControllerStatus,
+        lambda at_s, status: dataclasses.replace(
+            status,
+            state=ShiftState.FAULT if at_s > 0.17 else status.state,
+            faults=Fault.POSITION_LOST if at_s > 0.17 else status.faults,
+            confirmed=Gear.UNKNOWN,
+            estimate_m=0.0 if at_s < 0.27 else status.estimate_m,
+        ),
+        record,
+    )
+    assert broken(stale) == ["false_position"]
+    assert broken(stale, disturbed=True) == []
+
+
+def test_a_gear_that_is_there_and_not_confirmed() -> None:
+    assert broken(changed(1.5, confirmed=Gear.UNKNOWN)) == ["unconfirmed_gear"]
+    assert broken(changed(1.5, confirmed=Gear.UNKNOWN), disturbed=True) == []
+    assert broken(changed(1.5, confirmed=Gear.UNKNOWN, state=ShiftState.VENT)) == []
+
+
 @pytest.mark.parametrize("fault", [Fault.POSITION_LOST, Fault.REQUEST_LOST])
 def test_a_loss_that_is_none(fault: Fault) -> None:
     assert broken(changed(1.0, faults=fault)) == ["false_loss"]

@@ -39,9 +39,11 @@ def broken(record: RunRecord, **changes: Any) -> list[str]:
     return [violation.rule for violation in violations(record, given, RULES)]
 
 
-def sent_otherwise(kind: type[Any], change: Callable[[float, Any], Any]) -> RunRecord:
+def sent_otherwise(
+    kind: type[Any], change: Callable[[float, Any], Any], record: RunRecord | None = None
+) -> RunRecord:
     """The healthy record with each message of a kind replaced by what `change` makes of it at its time, s."""
-    record, protector = healthy().record, Protector(kind)
+    record, protector = record or healthy().record, Protector(kind)
     frames = [frame for frame in record.frames if frame.frame.can_id != can_id_of(kind)]
     for entry, message in record.of(kind):
         frame = protector.protect(change(entry.released_ns / 1e9, message))
@@ -85,7 +87,8 @@ def test_a_request_that_nobody_answers() -> None:
     def idle(_: float, status: ControllerStatus) -> ControllerStatus:
         return dataclasses.replace(status, confirmed=Gear.UNKNOWN, state=ShiftState.IDLE)
 
-    assert broken(sent_otherwise(ControllerStatus, idle)) == ["unanswered_request"]
+    expected = ["unconfirmed_gear", "unanswered_request"]
+    assert broken(sent_otherwise(ControllerStatus, idle)) == expected
     assert broken(sent_otherwise(ControllerStatus, idle), disturbed=True) == []
 
 
@@ -103,6 +106,34 @@ def test_a_push_that_is_tried_once_more() -> None:
         return dataclasses.replace(status, state=ShiftState.VENT) if vents else status
 
     assert broken(sent_otherwise(ControllerStatus, pauses)) == ["too_many_attempts"]
+
+
+def test_a_search_that_ends_too_early() -> None:
+    def loses(time_s: float, status: ControllerStatus) -> ControllerStatus:
+        if not 0.5 < time_s < 0.6:
+            return status
+        state = ShiftState.INIT if time_s < 0.55 else ShiftState.IDLE
+        return dataclasses.replace(status, confirmed=Gear.UNKNOWN, state=state)
+
+    assert broken(sent_otherwise(ControllerStatus, loses)) == ["early_rest"]
+
+
+def test_a_blow_that_is_cut() -> None:
+    def holds(time_s: float, status: ControllerStatus) -> ControllerStatus:
+        blows = status.state is ShiftState.BLOW
+        late = confirmed_s is not None and time_s > confirmed_s + 0.05
+        return dataclasses.replace(status, state=ShiftState.HOLD) if blows and late else status
+
+    confirmed_s = healthy().shifts[0].confirmed_s
+    assert broken(sent_otherwise(ControllerStatus, holds)) == ["cut_blow"]
+
+
+def test_a_fault_state_without_a_fault() -> None:
+    def fails(time_s: float, status: ControllerStatus) -> ControllerStatus:
+        failed = dataclasses.replace(status, state=ShiftState.FAULT, confirmed=Gear.UNKNOWN)
+        return failed if time_s > 0.5 else status
+
+    assert broken(sent_otherwise(ControllerStatus, fails)) == ["unnamed_fault"]
 
 
 def test_a_fault_that_only_an_error_can_raise() -> None:
