@@ -41,7 +41,7 @@ class Module:
 
     def __init__(self, content: bytes, source: str) -> None:
         self.wasmtime, self.engine = engine()
-        self.source = source
+        self.source, self.content = source, content
         try:
             self.code = self.wasmtime.Module(self.engine, content)
         except self.wasmtime.WasmtimeError as error:

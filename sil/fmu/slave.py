@@ -18,8 +18,9 @@ def prepare(slave: Fmi3Slave) -> Loaded:
 
     Raises InputError if the unit's settings cannot be used by the opc4-sil that is installed.
     """
-    release_static_state(str(slave.resources), type(slave).__name__)
-    settings = json.loads((Path(str(slave.resources)) / "settings.json").read_text())
+    resources = Path(str(slave.resources))
+    release_static_state(str(resources), type(slave).__name__)
+    settings = json.loads((resources / "settings.json").read_text())
     slave.guid = settings["token"]
     slave.time = 0.0
     slave.register_variable(
@@ -29,7 +30,7 @@ def prepare(slave: Fmi3Slave) -> Loaded:
             variability=Fmi3Variability.continuous,
         )
     )
-    return from_table(settings["scenario"], "settings.json")
+    return from_table(settings["scenario"], "settings.json", folder=resources)
 
 
 def declare(

@@ -116,8 +116,14 @@ def test_another_tool_gets_the_same_stroke(units: dict[str, Path]) -> None:
     np.testing.assert_allclose(there[1:], here, rtol=1e-6, atol=1e-9)
 
 
-def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) -> None:
-    # seen by the sensor every 10 ms; the driver asks at 0.3 s, and from 0.35 s the stay moves
+OUTPUTS = ["duty_b", "duty_n", "duty_f", "estimate_m", "state", "confirmed", "faults"]
+
+
+def simulated(unit: Path) -> tuple[np.ndarray, Any]:
+    """What a firmware's unit is given, every 10 ms, and what it answers.
+
+    The driver asks for backward at 0.3 s, and from 0.35 s the stay moves.
+    """
     times = np.arange(0.0, 0.6, 0.01)
     inputs = np.zeros(
         len(times),
@@ -129,15 +135,25 @@ def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) 
     inputs["coil_temperature_k"] = 293.15
     inputs["sample_index"] = np.arange(len(times))
     inputs["request"] = np.where(times >= 0.3, Gear.BACKWARD, Gear.NEUTRAL)
-    outputs = ["duty_b", "duty_n", "duty_f", "estimate_m", "state", "confirmed", "faults"]
-    found: Any = simulate_fmu(
-        str(units["controller"]),
-        stop_time=0.6,
-        step_size=0.01,
-        output_interval=0.01,
-        input=inputs,
-        output=outputs,
+    answers: Any = simulate_fmu(
+        str(unit), stop_time=0.6, step_size=0.01, output_interval=0.01, input=inputs, output=OUTPUTS
     )
+    return inputs, answers
+
+
+def test_a_firmware_in_c_goes_along_as_a_module(tmp_path: Path) -> None:
+    pytest.importorskip("wasmtime", reason="extra c")
+    pytest.importorskip("ziglang", reason="extra c")
+    own, unit = tmp_path / "own.c", tmp_path / "own.fmu"
+    assert main(["firmware", "--new", str(own)]) == 0
+    assert main(["fmu", "controller", str(unit), "--firmware", str(own)]) == 0
+    own.unlink()
+    _, answers = simulated(unit)
+    assert answers["duty_b"].max() > 0.9 and answers["confirmed"][-1] == Gear.BACKWARD
+
+
+def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) -> None:
+    inputs, found = simulated(units["controller"])
     firmware = Firmware(load_scenario.load("lab_n_b").scenario.controller)
     valid = E2eState.VALID
     for k, reported in enumerate(inputs):
@@ -154,7 +170,7 @@ def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) 
             *(out.valves.duty_b, out.valves.duty_n, out.valves.duty_f, out.status.estimate_m),
             *(out.status.state, out.status.confirmed, out.status.faults),
         )
-        there = [found[name][k + 1] for name in outputs]
+        there = [found[name][k + 1] for name in OUTPUTS]
         np.testing.assert_allclose(there, [float(value) for value in here], rtol=1e-12, atol=0.0)
     assert found["duty_b"].max() > 0.9 and found["duty_b"][:30].max() == 0.0
     assert {Gear.NEUTRAL, Gear.BACKWARD} <= set(found["confirmed"])
