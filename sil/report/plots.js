@@ -81,7 +81,24 @@
       ctx.restore();
     }
 
-    function text(words, x, y, { role = "ink", align = "center", base = "middle", turned = false, bold = false, size = 11, outlined = true }) {
+    // Whether a text lies within the panel's height and on none that was written before it.
+    const taken = [];
+    function isFree(words, x, y, { align = "center", base = "middle", turned = false, bold = false, size = 11 }) {
+      ctx.font = font(size, bold);
+      const [wide, high] = [ctx.measureText(words).width, size * ratio];
+      const before = (place) => ({ left: 0, top: 0, center: 0.5, middle: 0.5, right: 1, bottom: 1 })[place];
+      const box = turned // its beginning is below
+        ? [x - before(base) * high, y - (1 - before(align)) * wide, high, wide]
+        : [x - before(align) * wide, y - before(base) * high, wide, high];
+      const [left, top, across, down] = box;
+      const free = top >= bbox.top - 2 * ratio && top + down <= bbox.top + bbox.height + 2 * ratio
+        && !taken.some(([l, t, a, d]) => left < l + a && l < left + across && top < t + d && t < top + down);
+      if (free) taken.push(box);
+      return free;
+    }
+
+    function text(words, x, y, look) {
+      const { role = "ink", align = "center", base = "middle", turned = false, bold = false, size = 11, outlined = true } = look;
       ctx.save();
       ctx.translate(x, y);
       if (turned) ctx.rotate(-Math.PI / 2);
@@ -139,7 +156,7 @@
       ctx.globalAlpha = 1;
     }
 
-    function rule([value, words, role, axis, style]) {
+    function rule([value, , role, axis, style]) {
       const spot = at(value, axis, 0);
       const across = axis === "y";
       ctx.strokeStyle = colours(role);
@@ -150,15 +167,23 @@
       ctx.lineTo(across ? ends.x[1] : spot, across ? spot : ends.y[1]);
       ctx.stroke();
       ctx.setLineDash([]);
-      if (!words) return;
-      if (across) text(words, ends.x[0] + 3 * ratio, spot + 3 * ratio, { role, align: "left", base: "top" });
-      else text(words, spot - 3 * ratio, (ends.y[0] + ends.y[1]) / 2, { role, base: "bottom", turned: true });
+    }
+
+    function ruleText([value, words, role, axis]) {
+      const spot = at(value, axis, 0);
+      const look = axis === "y" ? { role, align: "left", base: "top" } : { role, base: "bottom", turned: true };
+      const place = axis === "y" ? [ends.x[0] + 3 * ratio, spot + 3 * ratio] : [spot - 3 * ratio, (ends.y[0] + ends.y[1]) / 2];
+      if (words && isFree(words, ...place, look)) text(words, ...place, look);
     }
 
     function note([x, y, words, role, align, up, bold]) {
       const aside = { left: 4, center: 0, right: -4 }[align] * ratio;
-      const base = up > 0 ? "bottom" : up < 0 ? "top" : "middle";
-      text(words, at(x, "x", 0) + aside, at(y, "y", 0) - up * ratio, { role, align, base, bold });
+      const look = { role, align, base: up > 0 ? "bottom" : up < 0 ? "top" : "middle", bold };
+      const high = 12 * ratio; // at the edge it moves into the panel
+      const [highest, lowest] = { bottom: [high, 0], middle: [high / 2, high / 2], top: [0, high] }[look.base];
+      const level = Math.min(Math.max(at(y, "y", 0) - up * ratio, ends.y[1] + highest), ends.y[0] - lowest);
+      const place = [at(x, "x", 0) + aside, level];
+      if (isFree(words, ...place, look)) text(words, ...place, look);
     }
 
     return {
@@ -173,8 +198,10 @@
         const rules = panel.rules.filter((item) => item[3] === "y" || shown(item));
         const notes = panel.notes.filter(shown);
         const room = max - min <= widest;
-        rules.forEach(([value, words, ...look]) => rule([value, room ? words : "", ...look]));
-        if (room) notes.forEach(note);
+        rules.forEach(rule);
+        if (!room) return;
+        notes.forEach(note);
+        rules.forEach(ruleText);
       }),
     };
   }
@@ -215,11 +242,14 @@
     let reads = []; // of each chart: (x) => writes its values
     let spot = content.ends[0];
 
+    // After uPlot's own microtask: only then a chart that is new or zoomed knows where its values lie.
     function cursor(x) {
       spot = x;
-      const inside = x >= range[0] && x <= range[1];
-      charts.forEach((chart) => chart.setCursor({ left: inside ? chart.valToPos(x, "x") : -10, top: 0 }, false));
-      reads.forEach((read) => read(x));
+      queueMicrotask(() => {
+        const inside = spot >= range[0] && spot <= range[1];
+        charts.forEach((chart) => chart.setCursor({ left: inside ? chart.valToPos(spot, "x") : -10, top: 0 }, false));
+        reads.forEach((read) => read(spot));
+      });
     }
 
     function show(low, high) {
@@ -306,7 +336,7 @@
         width: width(),
         height: height + across.size,
         legend: { show: !onCursor },
-        padding: onCursor ? [6, 18, 2, 0] : undefined,
+        padding: onCursor ? [6, 18, 6, 0] : undefined,
         cursor: onCursor ? { bind: still, y: false, points: { show: false } } : {
           sync: { key: "opc4 " + number },
           drag: { x: true, y: false, setScale: false },
@@ -377,15 +407,17 @@
         read.append(row);
         return row;
       };
-      if (!lanes) texts(panel.unit ? `${panel.title}, ${panel.unit}` : panel.title, ...(!reads.length && rows.some((row) => row.before) ? ["now", "before"] : [])).className = "name";
+      const both = rows.some((row) => row.before);
+      read.classList.toggle("both", both);
+      if (!lanes) texts(panel.unit ? `${panel.title}, ${panel.unit}` : panel.title, ...(!reads.length && both ? ["now", "before"] : [])).className = "name";
       const cells = rows.map(({ name, series }) => {
-        const row = texts(name, ...(series ? ["", ""] : [""]));
+        const row = texts(name, ...(both ? ["", ""] : [""]));
         if (series) row.firstChild.prepend(Object.assign(document.createElement("i"), { style: `background:${colours(series.role)}` }));
         else row.className = "lane";
         return [...row.children];
       });
       reads.push((x) => rows.forEach(({ series, before, lane }, i) => {
-        if (series) [series, before].forEach((one, k) => { cells[i][1 + k].textContent = one ? figure(valueAt(one, x)) : ""; });
+        if (series) [series, before].slice(0, both ? 2 : 1).forEach((one, k) => { cells[i][1 + k].textContent = one ? figure(valueAt(one, x)) : ""; });
         else {
           cells[i][1].textContent = stateAt(panel, lane, x);
           cells[i][0].parentNode.style.top = `${chart.bbox.top / uPlot.pxRatio + chart.valToPos(lane, "y")}px`;

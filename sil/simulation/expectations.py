@@ -77,6 +77,8 @@ class Timing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"s
     """Shortest time allowed."""
     max_s: float | None = None
     """Longest time allowed."""
+    lockstep: bool = False
+    """Judge it in lockstep only: nodes with clocks of their own read them at slightly other instants."""
 
 
 class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

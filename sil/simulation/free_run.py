@@ -35,6 +35,7 @@ from sil.simulation import build
 from sil.simulation.build import REMOTE, TIMEOUTS, Say
 from sil.simulation.bus_figures import COUNTS, message_rows
 from sil.simulation.load_scenario import Loaded
+from sil.simulation.scenario import FAULT_TABLES
 
 _SENDERS = {s.can_id: build.PARTICIPANT.get(s.senders[0], GUEST) for s in contract().values()}
 
@@ -64,7 +65,13 @@ class FreeRun:
         channel that cannot exist.
         """
         scenario = loaded.scenario
-        for key, given in (("fault", scenario.fault), ("bus.guest", scenario.bus.guest)):
+        faults = {key: getattr(scenario, key) for key in FAULT_TABLES}  # at instants of the run,
+        # which the clocks of the nodes do not know, as they do not how long chambers stay charged
+        lockstep = faults | {
+            "bus.guest": scenario.bus.guest,
+            "plant.charged": scenario.plant.charged,
+        }
+        for key, given in lockstep.items():
             if given:
                 raise InputError(
                     f"{loaded.source}: {key}: of a lockstep run only; expected none on a free-running "

@@ -167,7 +167,10 @@ def checks_of(
     """Return the checks of a run; an unfinished request with the time by which the run is too short."""
     scenario = loaded.scenario
     last = scenario.request[-1].gear if scenario.request else None
-    expect = scenario.expect if lockstep else replace(scenario.expect, lockstep={})
+    expect = scenario.expect
+    if not lockstep:
+        timing = [each for each in expect.timing if not each.lockstep]
+        expect = replace(expect, lockstep={}, timing=timing)
     checks = evaluate(expect, observed, shifts, figures, last)
     for k, check in enumerate(checks):
         if check.value == UNFINISHED and not check.passed:

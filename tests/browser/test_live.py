@@ -93,6 +93,31 @@ def test_at_1440_by_900_nothing_scrolls_and_at_900_by_700_only_traces(
             assert [box for box in browser.execute_script(SCROLLING) if box not in allowed] == []
 
 
+@pytest.mark.parametrize(("wide", "high"), [(1440, 900), (900, 700)])
+def test_names_beside_the_traces_are_whole_and_lie_on_no_other(
+    browser: Any, live: Live, wide: int, high: int
+) -> None:
+    browser.set_window_size(wide, high)
+    page = Page(browser, live.address)
+    for act in (lambda: None, lambda: page.after(lambda: page.slide("valve.D_fall", 30))):
+        act()
+        boxes = browser.execute_script(LANES)
+        assert len(boxes) >= 7
+        for number, (top, bottom, low, deep) in enumerate(boxes):
+            assert low - 1 <= top and bottom <= deep + 1
+            assert all(bottom <= other[0] + 2 or other[1] <= top + 2 for other in boxes[:number])
+    cut = browser.execute_script(
+        "return [...document.querySelectorAll('#shift-plots .read span')]"
+        ".filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent)"
+    )
+    assert wide < 1440 or cut == []
+
+
+LANES = """return [...document.querySelectorAll('#shift-plots .lane')].map(e => {
+  const [own, panel] = [e, e.closest('.panel')].map(b => b.getBoundingClientRect());
+  return [own.top, own.bottom, panel.top, panel.bottom]; })"""
+"""Upper and lower edge of each name of a lane, and those of its panel."""
+
 SCROLLING = """return [document.documentElement, ...document.querySelectorAll("body *")].filter(e =>
   (e === document.documentElement || ["auto", "scroll"].includes(getComputedStyle(e).overflowY))
   && (e.scrollHeight > e.clientHeight + 1 || e.scrollWidth > e.clientWidth + 1)).map(e => e.id || e.className || e.tagName)"""

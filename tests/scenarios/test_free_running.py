@@ -148,11 +148,21 @@ def test_participants_receive_what_the_dbc_says() -> None:
     assert "traffic" not in received()
 
 
-def test_faults_of_lockstep_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["run", "bus_off", "--transport", "local:free", "--realtime"]
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("bus_off", "fault"),
+        ("garbage_sensor", "sensor_fault"),
+        ("charged_neutral", "plant.charged"),
+    ],
+)
+def test_what_begins_at_an_instant_of_the_run_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, key: str
+) -> None:
+    words = ["run", name, "--transport", "local:free", "--realtime"]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 2
     complaints = capsys.readouterr().err
-    assert complaints.count("\n") == 1 and "fault: of a lockstep run only" in complaints
+    assert complaints.count("\n") == 1 and f"{key}: of a lockstep run only" in complaints
     assert not (tmp_path / "out").exists()
 
 
