@@ -7,6 +7,7 @@ files.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import stat
 import traceback
@@ -69,6 +70,22 @@ def read_user_text(
         raise InputError(
             f"{Path(path)}: line {line}: byte 0x{byte:02X} is not UTF-8; expected {expected}"
         ) from None
+
+
+def resolved(path: str | os.PathLike[str]) -> Path:
+    """Return the absolute path without symbolic links.
+
+    Of links that lead in a circle as far as they can be followed: opening it is an OSError, ELOOP.
+    """
+    return Path(os.path.realpath(path))
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the value of a text in JSON. Raises ValueError, also where it is nested too deeply."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
 
 
 class ProcessExit(BaseException):

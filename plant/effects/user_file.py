@@ -24,7 +24,7 @@ from typing import Any, get_args
 import numpy as np
 
 from can_dbc.errors import nearest
-from can_dbc.user_file import ProcessExit, before_running, exits_raise, read_user_text
+from can_dbc.user_file import ProcessExit, before_running, exits_raise, read_user_text, resolved
 from plant import effects as catalogue
 from plant.effects.added_term import ALL_TERMS, shown
 from plant.effects.effect import Effect, EffectParameter, Need, Scope, Variant
@@ -53,7 +53,7 @@ def load_effects(where: str) -> str:
     numba cannot compile or that is not finite, and another content than that of the hash.
     """
     name, _, expected = where.partition(MARK)
-    path = Path(name).resolve()
+    path = resolved(name)
     text = read_user_text(name, EXPECTED)
     digest = hashlib.sha256(text.encode()).hexdigest()
     if expected and digest != expected:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError, nearest
 from can_dbc.typed_toml import convert, read_toml
+from can_dbc.user_file import resolved
 from plant.systems.stroke import Stroke, StrokeConditions
 from sil.campaign.formula import formula
 from sil.campaign.tables import Decimal, read_columns
@@ -180,7 +181,7 @@ def column_maps(columns: Mapping[str, str | ColumnMap]) -> dict[str, ColumnMap]:
 
 def check_files(files: Sequence[str], source: Path) -> None:
     """Refuse a file of two strokes, however written: it would count twice. Raises InputError."""
-    places = [(source.parent / name).resolve() for name in files]
+    places = [resolved(source.parent / name) for name in files]
     for number, name in enumerate(files):
         if places[number] in places[:number]:
             raise InputError(f"{source}: stroke[{number}].file: {name!r} twice; expected each once")
@@ -319,7 +320,7 @@ def joined(campaigns: Sequence[Campaign]) -> Campaign:
     first, *more = campaigns
     if not more:
         return first
-    places = [one.folder.resolve() for one in campaigns]
+    places = [resolved(one.folder) for one in campaigns]
     for number, one in enumerate(campaigns):
         if places[number] in places[:number]:
             raise InputError(f"{one.folder}: the same campaign twice; expected each once")

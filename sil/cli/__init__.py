@@ -286,10 +286,10 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
             message, code = f"{message}; expected a path with permission", BAD_INPUT
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
-    except Exception as error:
-        message, code = f"{error}; expected a path that can exist", BAD_INPUT
-        if not (_interrupts or message.startswith("Symlink loop")):  # of Path.resolve
+    except Exception:  # also one that a library made of an interrupt
+        if not _interrupts:
             raise
+        message, code = "interrupted", _interrupted_code()
     if _interrupts:
         message, code = "interrupted", _interrupted_code()
     message = _shortened(message)

@@ -73,6 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _names(paths: list[Path]) -> list[str]:
     """Return what the runs are called: the names of their folders, or their paths if two are the same."""
+    from can_dbc.user_file import resolved
+
     folders = [path.parent if path.name == "result.json" else path for path in paths]
-    names = [folder.resolve().name for folder in folders]
+    names = [resolved(folder).name for folder in folders]
     return names if len(set(names)) == len(names) else list(map(str, folders))

@@ -34,6 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     import webbrowser
 
     from can_dbc.errors import InputError
+    from can_dbc.user_file import resolved
     from sil.firmware.load import firmware_node
     from sil.live.server import Bench, serve
     from sil.simulation import load_scenario
@@ -51,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         firmware_node(checked.firmware, checked.controller).close()
     shared = Bench(
         scenarios,
-        folder.resolve(),
+        resolved(folder),
         log=lambda line: say(f"opc4 live: {line}"),
         firmware=arguments.firmware,
     )

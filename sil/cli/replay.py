@@ -120,11 +120,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _report(arguments: argparse.Namespace, outcome: ReplayResult | TruckReplay) -> None:
     """Write the files of a replay and print it: a log that is refused leaves no folder behind."""
+    from can_dbc.user_file import resolved
     from sil.log_replay.report import report
 
     reported = report(outcome)
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
-    parent = Path(arguments.log).resolve().parent.name
+    parent = resolved(arguments.log).parent.name
     folder = _prepared(arguments, f"replay-{parent}" if stem == "bus" else f"replay-{stem}")
     files = {
         "diff.txt": reported.text,

@@ -33,6 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises InputError for a campaign or a record that is wrong, and an --out that is the campaign.
     """
     from can_dbc.errors import InputError
+    from can_dbc.user_file import resolved
     from plant.effects import overridden
     from plant.effects.user_file import load_effects
     from plant.parameters import load
@@ -53,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     stamps = [load_effects(file) for file in arguments.effects]
     parameters = load(arguments.model)
     parameters = overridden(parameters, model_settings(arguments.settings, parameters))
-    if arguments.out is not None and arguments.out.resolve() == campaign.folder.resolve():
+    if arguments.out is not None and resolved(arguments.out) == resolved(campaign.folder):
         what = "is the campaign that is simulated; expected another folder"
         raise InputError(f"{arguments.out}: --out: {what}")
     records = read_records(campaign)

@@ -10,10 +10,9 @@ import re
 import signal
 import sys
 import tempfile
-from pathlib import Path
 from typing import Any
 
-from can_dbc.user_file import crash_places
+from can_dbc.user_file import crash_places, resolved
 
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NOT_FINISHED = 3
@@ -64,6 +63,6 @@ def _place(stacks: Any) -> str:
     stack = os.pread(stacks.fileno(), 1 << 16, 0).decode(errors="replace")
     for name, line in re.findall(r'File "([^<"][^"]*)", line (\d+)', stack):
         for file in _files:
-            if Path(name).resolve() == Path(file).resolve():
+            if resolved(name) == resolved(file):
                 return f"{file}:{line}"
     return ""

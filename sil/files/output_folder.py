@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import math
 import os
 import re
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import parse_json, resolved
 from sil.files.atomic import write_atomically
 
 RESULT = "result.json"
@@ -71,7 +71,7 @@ def prepare_folder(
     """
     if out is not None and force:
         for file in map(Path, inputs):
-            if file.name in RUN_FILES and file.resolve().parent == out.resolve():
+            if file.name in RUN_FILES and resolved(file).parent == resolved(out):
                 what = f"--force would delete {file}, which is read; expected another folder"
                 raise InputError(f"{out}: --out: {what}")
     folder, lock = _new_numbered(Path("runs"), name) if out is None else _made(out)
@@ -269,8 +269,8 @@ def _is_complete(folder: Path) -> bool:
     if any((folder / name).exists() for name in LAST_WRITTEN):
         return True
     try:
-        return bool(json.loads((folder / RESULT).read_text(encoding="utf-8"))["complete"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return bool(parse_json((folder / RESULT).read_text(encoding="utf-8"))["complete"])
+    except (OSError, ValueError, KeyError, TypeError):
         return False
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import platformdirs
 
 from can_dbc.errors import InputError
-from can_dbc.user_file import read_user_file
+from can_dbc.user_file import read_user_file, resolved
 from sil.files.atomic import write_atomically
 from sil.files.extras import install_command
 from sil.firmware.contract import header
@@ -57,7 +57,7 @@ def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = 
     read_user_file(path, "C source")
     flags = (*_COMMON, *(_SANITISED if sanitised else _PLAIN), *options)
     command = (*tool("cc"), *flags, path.name)
-    key = "\n".join((str(path.resolve()), header(), _version(), *command))
+    key = "\n".join((str(resolved(path)), header(), _version(), *command))
     stored = _CACHE / "c" / sha256(key.encode()).hexdigest()
     with contextlib.suppress(OSError, ValueError):
         head, _, module = stored.read_bytes().partition(b"\n")
@@ -73,7 +73,7 @@ def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = 
         said += _call(path, (*tool("wasm-ld"), *link))
         module = Path(folder, "own.wasm").read_bytes()
         names = Path(folder, "own.d").read_text().partition(":")[2].replace("\\\n", " ").split()
-        files = [path.resolve().parent / name for name in names if not name.startswith(folder)]
+        files = [resolved(path).parent / name for name in names if not name.startswith(folder)]
         with contextlib.suppress(OSError):  # a name with a blank, or no room: compiled again
             stamps = {str(file): _stamp(file) for file in files}
             if not said:

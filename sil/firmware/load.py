@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from can_dbc.user_file import resolved
 from sil.files.extras import ROOT
 
 if TYPE_CHECKING:
@@ -48,4 +49,4 @@ def absolute(where: str, folder: Path) -> str:
     if where == IN_C:
         return str(SHIPPED_IN_C)
     file, colon, name = where.partition(":")
-    return f"{(folder / file).resolve()}{colon}{name}"
+    return f"{resolved(folder / file)}{colon}{name}"

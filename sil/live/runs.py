@@ -7,7 +7,6 @@ Checked by: tests/unit/sil/live/test_runs.py
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import parse_json
 from sil.files.output_folder import INCOMPLETE
 from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.plots import content
@@ -71,7 +71,7 @@ def _entry(path: Path) -> Iterator[dict[str, Any]]:
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # being written, or damaged: shown without figures
         return {}
     return table if isinstance(table, dict) else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import msgspec
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError
-from can_dbc.user_file import read_user_text
+from can_dbc.user_file import parse_json, read_user_text
 from controller.config import FirmwareConfig
 from sil.files.output_folder import RESULT
 from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
@@ -123,9 +122,9 @@ def _read_result(path: str | Path) -> dict[str, Any]:
     """Return the content of a result.json, nothing if there is no scenario in it. Raises InputError."""
     text = read_user_text(path, "a result.json", (64 << 20))
     try:
-        result: dict[str, Any] = json.loads(text)
+        result: dict[str, Any] = parse_json(text)
         return result if isinstance(result["scenario"], dict) else {}
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         return {}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import parse_json
 from sil.coupling.clock import NS_PER_S
 from sil.recording.recorder import BUS_FRAMES, EVENTS, PLANT_TRACE, TRACE_FORMAT
 from sil.recording.run_record import STORED_FRAME, PlantEvent, RunRecord, StoredFrames
@@ -79,7 +79,7 @@ def open_trace(path: Path) -> RowReader:
 def event_of(line: bytes, location: str) -> PlantEvent:
     """Return the event of one line.  Raises InputError naming `location` for something else."""
     try:
-        values = json.loads(line)
+        values = parse_json(line)
         return PlantEvent(float(values.pop("time_s")), str(values.pop("name")), values)
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{location}: not an event; expected time_s, name and values") from None

@@ -19,6 +19,7 @@ import msgspec
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
 from can_dbc.messages import Gear
+from can_dbc.user_file import resolved
 from controller.node import ControllerNode, TickingNode
 from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns
@@ -341,7 +342,7 @@ def node_command(
     Empty for a participant in `external`: then `say` prints the command for the user. The process
     runs this very code, whatever lies in the user's folder under the same names.
     """
-    folder = folder.resolve() if name in external else folder
+    folder = resolved(folder) if name in external else folder
     recording = ["--out", str(folder), *(["--force"] if name == "plant" else [])]
     scenario = str(folder / SCENARIO)
     words = ["node", name, "--channel", channel, "--scenario", scenario, *recording, *options]

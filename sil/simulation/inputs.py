@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from can_dbc.user_file import resolved
 from plant.effects.user_file import MARK
 from sil.simulation.results import versions
 
@@ -69,7 +70,7 @@ def named_files(value: Any, folders: Sequence[Path], passed: set[Path]) -> Itera
         for path in (
             folder / part for folder in folders for part in (name, name.rpartition(":")[0])
         ):
-            path = path.resolve()
+            path = resolved(path)
             if path in passed or not path.exists() or path == Path.cwd():
                 continue
             passed.add(path)

@@ -5,7 +5,6 @@ Checked by: tests/unit/sil/cli/test_compare.py
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 from can_dbc.errors import InputError
 from can_dbc.messages import Fault, ShiftState
 from can_dbc.typed_toml import convert
-from can_dbc.user_file import read_user_file
+from can_dbc.user_file import parse_json, read_user_file
 from sil.files.output_folder import RESULT
 from sil.recording.recorder import EVENTS
 from sil.recording.run_reader import event_of
@@ -79,8 +78,8 @@ def read_run(where: Path, name: str) -> KeptRun:
     folder = where.parent if where.name == RESULT else where
     path = folder / RESULT
     try:
-        raw = json.loads(read_user_file(path, "the result.json of a run", MOST_BYTES))
-    except (ValueError, RecursionError):
+        raw = parse_json(read_user_file(path, "the result.json of a run", MOST_BYTES))
+    except ValueError:
         raise InputError(f"{path}: not JSON; expected the result.json of a run") from None
     stored = convert(raw, _Stored, str(path))
     if not stored.complete:

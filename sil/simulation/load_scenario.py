@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
+from can_dbc.user_file import parse_json
 from sil.files.overrides import Settings, leaf_paths, set_value
 from sil.files.quantity import unit_of
 from sil.files.units import without_units
@@ -129,9 +129,9 @@ def _read(path: Path) -> dict[str, Any]:
     if path.suffix != ".json":
         return typed_toml.read_toml(path)
     try:
-        result = json.loads(path.read_text(encoding="utf-8"))
+        result = parse_json(path.read_text(encoding="utf-8"))
         table = result["scenario"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
     if not isinstance(table, dict):
         raise InputError(f"{path}: scenario: not a table; expected that of a result.json")

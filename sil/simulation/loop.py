@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from can_dbc.errors import InputError
-from can_dbc.user_file import read_user_file
+from can_dbc.user_file import parse_json, read_user_file
 from plant.node import PlantNode
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import to_ns
@@ -155,7 +155,7 @@ def load(path: Path) -> Loop:
     expected = "a state that opc4 run --save-at wrote"
     line, _, state = read_user_file(path, expected, 1 << 30).partition(b"\n")
     try:
-        head = json.loads(line)
+        head = parse_json(line)
         if head["format"] != FORMAT or head["sha256"] != hashlib.sha256(state).hexdigest():
             raise ValueError
         loaded = from_table(head["scenario"], head["source"])

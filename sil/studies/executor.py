@@ -21,6 +21,7 @@ from pathlib import Path
 import msgspec
 
 from can_dbc.errors import InputError, RunError
+from can_dbc.user_file import parse_json
 from sil.files.atomic import write_atomically
 from sil.files.worker import in_turn
 from sil.simulation.inputs import changed_inputs
@@ -145,7 +146,7 @@ def completed(study: Study, folder: Path) -> tuple[int, int]:
     state = folder / STATE
     try:
         inputs = msgspec.convert(
-            json.loads(state.read_text(encoding="utf-8"))["inputs"], dict[str, str]
+            parse_json(state.read_text(encoding="utf-8"))["inputs"], dict[str, str]
         )
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{state}: not the state of a sweep; expected one begun here") from None

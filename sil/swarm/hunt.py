@@ -200,7 +200,7 @@ def stored_generations(folder: Path, digest: str) -> Iterable[Generation]:
         first, *lines = content[:whole].splitlines()
         stored = msgspec.json.decode(first, type=dict[str, str]).get("sha256")
         generations = [msgspec.json.decode(line, type=Generation) for line in lines]
-    except (msgspec.MsgspecError, ValueError):
+    except (msgspec.MsgspecError, ValueError, RecursionError):
         raise InputError(f"{path}: not the generations of a swarm; expected --force") from None
     if stored != digest:
         what = "of another target, seed, set of rules or version"
