@@ -175,7 +175,8 @@ def campaign_keys() -> Iterator[str]:
         yield f"| {' | '.join(map(cell, values))} | {cell(row.description)} |"
     yield from (
         "",
-        "Units that a draft converts, in a name (`x [mm]`) or in a row of their own:",
+        "Units that a draft converts, in a name (`x [mm]`) or in a row of their own; a pressure may say what it counts "
+        "from (`barg`, `bar ü`, `psia`, `bar abs`):",
         "",
     )
     yield from (

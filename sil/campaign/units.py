@@ -18,6 +18,16 @@ UNITS = {
 SCALES = {unit: (ours, scale) for ours, table in UNITS.items() for unit, scale in table.items()}
 """Our column and the factor to its unit, by unit."""
 
+LEVELS = {
+    f"{unit}{gap}{mark}": (level, unit)
+    for level, marks in {"gauge": ("g", "ü", "rel"), "absolute": ("a", "abs")}.items()
+    for mark in marks
+    for unit in UNITS["pressure_pa"]
+    for gap in ("", " ")
+}
+"""What a pressure counts from, and its unit, by units that say both: barg, bar ü, psia, kPa abs."""
+SCALES |= {text: SCALES[unit] for text, (_, unit) in LEVELS.items()}
+
 RAW = re.compile(r"m?[VA]|%|counts?|digits?|inc|LSB|-|1")
 """Units of channels that only a calibration makes one of our columns."""
 OTHER = re.compile(r"°?C|degC|K|k?Hz|rpm|1/min|k?g|l/min|m/s²?")

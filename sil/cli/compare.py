@@ -8,7 +8,6 @@ import shlex
 from pathlib import Path
 
 from sil.cli.options import JSON, argument, out
-from sil.files.quantity import counted
 
 EXAMPLE = "example: opc4 compare runs/lab_n_b-1 runs/lab_n_b-2"
 ARGUMENTS = (
@@ -61,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         heads = head_of([each.name for each in runs])
         print("\n".join(table_lines(heads, [row.cells() for row in metrics])))
         if events:
-            print(f"\n{counted(len(events), 'event')} differ, by shift and time after the request:")
+            print(f"\nevents that differ: {len(events)}, by shift and time after the request:")
             cells = [event_cells(row) for row in events[:EVENTS_PRINTED]]
             print("\n".join(table_lines(heads, cells)))
         if len(events) > EVENTS_PRINTED:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sil.files.atomic import write_atomically
-from sil.files.quantity import counted, quantity
+from sil.files.quantity import quantity
 from sil.recording.run_record import CHAMBERS
 from sil.report.figure import BAR, MM, MS, Figure, Panel, Rule, Series, Span, Stack, spans_of
 from sil.report.picture import MOST_ZOOMS, save
@@ -129,7 +129,7 @@ def write_page(
     head = Head(
         command="compare",
         name=", ".join(names),
-        verdict="traces equal to the bit" if equal else f"{counted(len(events), 'event')} differ",
+        verdict="traces equal to the bit" if equal else f"events that differ: {len(events)}",
         tiles=[
             ("never" if time_s is None else quantity(time_s, "s", 3), f"{name}, request to stop")
             for name, time_s in zip(names, arrivals, strict=True)

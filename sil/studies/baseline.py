@@ -72,4 +72,12 @@ def _cells(
             change = factor * differences(table, baseline, name)[rows]
             change = change[np.isfinite(change)]
             is_baseline = len(rows) == 1 and baseline[rows[0]] == rows[0]
-            yield "baseline" if is_baseline else f"{np.median(change):+.3g}" if len(change) else ""
+            yield "baseline" if is_baseline else _change(change, float(np.median(values)))
+
+
+def _change(changes: NDArray[np.float64], value: float) -> str:
+    """Return the median of the changes, "=" where four digits of the value do not show it."""
+    if not len(changes):
+        return ""
+    middle = float(np.median(changes))
+    return f"{middle:+.3g}" if abs(middle) > 5e-5 * abs(value) else "="

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sil.campaign.campaign import OWN, Floats
-from sil.campaign.units import OTHER, RAW, SCALES, UNITS, unit_of
+from sil.campaign.units import LEVELS, OTHER, RAW, SCALES, UNITS, unit_of
 
 NAMES = {
     "time_s": r"t|time|zeit|timestamp|.*_t(ime)?",
@@ -147,10 +147,13 @@ def _without_scale(name: str, unit: str, ours: str, values: Floats) -> Channel:
 
 
 def pressures(channels: list[Channel], tables: Sequence[Mapping[str, Floats]]) -> str:
-    """Return whether pressures are absolute by their level, or "?" where only the user can tell.
+    """Return whether pressures are absolute, by unit or level, or "?" where only the user can tell.
 
     tables: columns [n] of each file, in the files' units.
     """
+    stated = {LEVELS.get(c.unit, ("", ""))[0] for c in channels if c.ours.startswith("pressure_")}
+    if stated - {""}:
+        return stated.pop() if len(stated) == 1 else "?"
     lowest = [
         float(table[channel.name].min()) * (channel.scale or np.nan)
         for channel in channels

@@ -17,7 +17,7 @@ from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
 from sil.campaign.units import UNITS
-from sil.files.quantity import counted
+from sil.files.quantity import counted, quantity, unit_of
 from sil.inference.campaign.model import CampaignModel, channel_parts
 from sil.inference.campaign.noise import estimated_noise
 from sil.inference.campaign.observations import StrokeObservation, kind_of, nominal_noise, observe
@@ -92,7 +92,8 @@ def observed(
     for name, measured_noise in noise.items():
         usual = nominal[kind_of(name)].sd
         text = (
-            f"noise of {measured_noise.sd:.3g}, {measured_noise.sd / usual:.2g} times what is usual"
+            f"noise of {quantity(measured_noise.sd, unit_of(name), 2)}, "
+            f"{measured_noise.sd / usual:.2g} times what is usual"
         )
         findings.append(Finding(campaign.name, name, f"{text}: estimated from the records"))
     return strokes, findings

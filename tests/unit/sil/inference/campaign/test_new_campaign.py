@@ -14,7 +14,7 @@ from can_dbc.errors import InputError
 from sil.campaign.campaign import load_campaign
 from sil.campaign.units import unit_of
 from sil.cli import main
-from sil.inference.campaign.channels import recognise
+from sil.inference.campaign.channels import pressures, recognise
 from sil.inference.campaign.new_campaign import draft
 from sil.inference.force.record import read_motion
 
@@ -39,6 +39,7 @@ RISING = np.linspace(0.0, 0.01, 5)
         ("force", "V", "", "force_n", None),
         ("Druck B [bar]", "", "BNF", "pressure_B_pa", 1e5),
         ("p1", "bar", "12", "pressure_1_pa", 1e5),
+        ("pF [bar ü]", "", "BNF", "pressure_F_pa", 1e5),
         ("p_2 [V]", "", "12", "pressure_2_pa", None),
         ("pressure [bar]", "", "12", "", 1.0),
         ("Ventil_F [V]", "", "BNF", "cmd_F", None),
@@ -57,6 +58,22 @@ def test_a_column_is_known_or_asked_about(
     (channel,) = recognise({name: RISING}, {name: stored}, chambers)
     assert (channel.ours, channel.scale) == (ours, scale)
     assert scale is not None or channel.open
+
+
+@pytest.mark.parametrize(
+    ("units", "level"),
+    [
+        (("barg", "bar ü"), "gauge"),
+        (("kPa abs", "psia"), "absolute"),
+        (("barg", "bara"), "?"),
+        (("barg", "bar"), "?"),
+        (("bar", "bar"), "?"),  # by their level
+    ],
+)
+def test_a_unit_may_say_what_pressures_count_from(units: tuple[str, ...], level: str) -> None:
+    columns = {f"p{k}": RISING for k in (1, 2)}
+    channels = recognise(columns, dict(zip(columns, units, strict=True)), "12")
+    assert pressures(channels, [columns]) == level
 
 
 def test_time_is_what_does_not_fall() -> None:
