@@ -26,6 +26,7 @@ def generated() -> dict[str, str]:
         "reference/keys.md": ("Keys of scenarios and studies", keys()),
         "reference/campaign.md": ("Keys of campaign.toml", campaign_keys()),
         "reference/firmware.md": ("Firmware states", states()),
+        "reference/rules.md": ("Rules", rules()),
         "reference/python.md": ("Python", python_api()),
     }
     pages = {
@@ -218,6 +219,16 @@ def states() -> Iterator[str]:
     yield "|---|---|---|---|"
     for number, ((state, target), events) in enumerate(transitions().items(), 1):
         yield f"| {number} | {state} | {target} | {'; '.join(events)} |"
+
+
+def rules() -> Iterator[str]:
+    """Yield the lines of the page of the rules that every run is held to."""
+    from sil.rules.shipped import RULES
+
+    yield "They hold in every run of `run`, `whatif`, `swarm`, pytest; `[expect] violated` states those that a fault breaks."
+    yield from ("", "| rule | what every run keeps | source |", "|---|---|---|")
+    for rule in RULES:
+        yield f"| `{rule.name}` | {rule.sentence} | {rule.source} |"
 
 
 def states_svg() -> str:

@@ -18,6 +18,7 @@ from can_dbc.codec import can_id_of
 from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
 from can_dbc.messages import (
     ControllerStatus,
+    DrivelineSpeeds,
     E2eState,
     Fault,
     Gear,
@@ -28,10 +29,15 @@ from can_dbc.messages import (
 from controller.settings import SensorConfig, WindowConfig
 from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import RunRecord
-from sil.rules.reports import SENDER, accepted_status
-from sil.rules.rule import Circumstances
+from sil.rules.reports import sent
+from sil.rules.rule import Broken, Circumstances
 
-Broken = tuple[float, str] | None
+CHANNELS: dict[type, tuple[Fault, str]] = {
+    PositionPulse: (Fault.POSITION_LOST, "position_timeout_s"),
+    ShiftRequest: (Fault.REQUEST_LOST, "request_timeout_s"),
+    DrivelineSpeeds: (Fault.SPEEDS_LOST, "speeds_timeout_s"),
+}
+"""What the firmware receives: the fault that tells the loss, and the setting of its timeout."""
 
 UNSEEN = Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK
 
@@ -48,22 +54,15 @@ class _Step:
     """When the channel was valid last."""
 
 
-def _steps(
-    record: RunRecord, circumstances: Circumstances, channel: Receiver[Any]
-) -> Iterator[_Step]:
-    frames = list(record.frames_of(can_id_of(channel.message_type)))
+def _steps(record: RunRecord, circumstances: Circumstances, kind: Any) -> Iterator[_Step]:
+    channel = Receiver(kind, E2eConfig(round(_timeout_s(circumstances, kind) * NS_PER_S)))
+    frames = list(record.frames_of(can_id_of(kind)))
     computation_ns = circumstances.control.computation_ns * circumstances.slow_clock
-    reports = [
-        (round(entry.released_ns - computation_ns), status)
-        for entry, status in accepted_status(record)
-        if status is not None and entry.sender == SENDER
-    ]
-    valid_s = (
-        _begin_s(record) + 0.05
-    )  # the record may be a piece of a run: until frames have followed each other
+    # the record may be a piece of a run: until frames have followed each other
+    valid_s = _begin_s(record) + 0.05
     taken = 0
-    for at_ns, status in sorted(reports, key=lambda report: report[0]):
-        arrived = []
+    for sent_s, status in sorted(sent(record, ControllerStatus), key=lambda report: report[0]):
+        at_ns, arrived = round(sent_s * NS_PER_S - computation_ns), []
         while taken < len(frames) and frames[taken].arrival_ns <= at_ns:
             if channel.receive(frames[taken].arrival_ns, frames[taken].frame) in ACCEPTED:
                 arrived.append(channel.message)
@@ -77,16 +76,8 @@ def _begin_s(record: RunRecord) -> float:
     return float(record.truth["time_s"][0]) if len(record.truth["time_s"]) else 0.0
 
 
-def _positions(record: RunRecord, circumstances: Circumstances) -> Iterator[_Step]:
-    timeout_s = circumstances.control.e2e.position_timeout_s * circumstances.slow_clock
-    channel = Receiver(PositionPulse, E2eConfig(timeout_ns=round(timeout_s * NS_PER_S)))
-    return _steps(record, circumstances, channel)
-
-
-def _requests(record: RunRecord, circumstances: Circumstances) -> Iterator[_Step]:
-    timeout_s = circumstances.control.e2e.request_timeout_s * circumstances.slow_clock
-    channel = Receiver(ShiftRequest, E2eConfig(timeout_ns=round(timeout_s * NS_PER_S)))
-    return _steps(record, circumstances, channel)
+def _timeout_s(circumstances: Circumstances, kind: type) -> float:
+    return float(getattr(circumstances.control.e2e, CHANNELS[kind][1]) * circumstances.slow_clock)
 
 
 def _grace_s(circumstances: Circumstances) -> float:
@@ -96,7 +87,7 @@ def _grace_s(circumstances: Circumstances) -> float:
 
 def blind_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No gear is confirmed without valid position samples."""
-    for step in _positions(record, circumstances):
+    for step in _steps(record, circumstances, PositionPulse):
         blind_s = step.at_s - step.valid_s
         if step.status.confirmed != Gear.UNKNOWN and blind_s > _grace_s(circumstances):
             gear = step.status.confirmed.name.lower()
@@ -110,7 +101,7 @@ def blind_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
 def unrequested_push(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No push begins out of rest without a valid request."""
     before: _Step | None = None
-    for step in _requests(record, circumstances):
+    for step in _steps(record, circumstances, ShiftRequest):
         rested = before is not None and before.status.state is ShiftState.IDLE
         if rested and step.status.state is ShiftState.PUSH:
             deaf_s = step.at_s - step.valid_s
@@ -122,18 +113,16 @@ def unrequested_push(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def false_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """Position and request are not reported lost while their frames arrive."""
+    """Position, request and speeds are not reported lost while their frames arrive."""
     if circumstances.disturbed or not circumstances.true_samples:
         return None
-    grace_s, e2e = _grace_s(circumstances), circumstances.control.e2e
-    for fault, steps, timeout_s in (
-        (Fault.POSITION_LOST, _positions(record, circumstances), e2e.position_timeout_s),
-        (Fault.REQUEST_LOST, _requests(record, circumstances), e2e.request_timeout_s),
-    ):
-        startup_s = min(e2e.startup_s, timeout_s) * circumstances.slow_clock - grace_s
+    grace_s = _grace_s(circumstances)
+    for kind, (fault, _) in CHANNELS.items():
+        startup_s = circumstances.control.e2e.startup_s * circumstances.slow_clock
+        startup_s = min(startup_s, _timeout_s(circumstances, kind)) - grace_s
         since_s, before = math.inf, Fault.NONE
         waits = _begin_s(record) == 0.0
-        for step in steps:
+        for step in _steps(record, circumstances, kind):
             valid = step.valid_s == step.at_s
             waits = waits and not valid and step.at_s < startup_s
             since_s = min(since_s, step.at_s) if valid else math.inf
@@ -144,17 +133,29 @@ def false_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
     return None
 
 
+def missed_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No loss of position, request or speeds goes unreported."""
+    grace_s, startup_s = _grace_s(circumstances), circumstances.control.e2e.startup_s
+    begin_s = _begin_s(record) + startup_s * circumstances.slow_clock
+    for kind, (fault, _) in CHANNELS.items():
+        for step in _steps(record, circumstances, kind):
+            deaf_s = step.at_s - max(step.valid_s, begin_s)
+            if deaf_s > grace_s and fault not in step.status.faults:
+                what = (
+                    f"{fault.name} is not reported {1e3 * deaf_s:.0f} ms after the last valid frame"
+                )
+                return step.at_s, what
+    return None
+
+
 def unsampled_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No gear is confirmed before its number of samples in a row within its window."""
     control = circumstances.control
     if circumstances.disturbed or not circumstances.true_samples or control.ns_per_instruction:
         return None
-    windows, wanted = control.windows, control.windows.samples
-    run, window, confirmed = 0, Gear.UNKNOWN, None
-    for step in _positions(record, circumstances):
-        for pulse in step.arrived:
-            gear = _window_of(_measured_m(pulse, control.sensor), windows)
-            run, window = (run + 1 if gear is window else 1), gear
+    wanted = control.windows.samples
+    confirmed = None
+    for step, run, window in _windows(record, circumstances):
         gear = step.status.confirmed
         if confirmed is not None and gear not in (confirmed, Gear.UNKNOWN):
             in_row = run if gear is window else 0
@@ -165,6 +166,16 @@ def unsampled_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     return None
 
 
+def _windows(record: RunRecord, circumstances: Circumstances) -> Iterator[tuple[_Step, int, Gear]]:
+    """Yield each step with the window of the latest sample, and how many in a row lay within it."""
+    control, run, window = circumstances.control, 0, Gear.UNKNOWN
+    for step in _steps(record, circumstances, PositionPulse):
+        for pulse in step.arrived:
+            gear = _window_of(_measured_m(pulse, control.sensor), control.windows)
+            run, window = (run + 1 if gear is window else 1), gear
+        yield step, run, window
+
+
 def unconfirmed_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No gear stays unconfirmed at rest while the samples lie within its window."""
     control = circumstances.control
@@ -172,16 +183,15 @@ def unconfirmed_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
         return None
     settled_s = 0.2 + (3.0 / control.filter.fc_hz if control.filter.enabled else 0.0)
     wanted = control.windows.samples + math.ceil(settled_s / control.sensor.period_s)
-    run, window = 0, Gear.UNKNOWN
-    for step in _positions(record, circumstances):
-        for pulse in step.arrived:
-            gear = _window_of(_measured_m(pulse, control.sensor), control.windows)
-            run, window = (run + 1 if gear is window else 1), gear
+    before = 0  # samples until the firmware came to rest
+    for step, run, window in _windows(record, circumstances):
         status = step.status
-        if status.state is not ShiftState.IDLE or status.faults & UNSEEN:
-            run = 0
-        if run >= wanted and window is not Gear.UNKNOWN and status.confirmed == Gear.UNKNOWN:
-            return step.at_s, f"{window.name.lower()} is not confirmed after {run} samples in a row"
+        rests = status.state is ShiftState.IDLE and not status.faults & UNSEEN
+        before = min(before, run) if rests else run
+        in_row = run - before
+        if in_row >= wanted and window is not Gear.UNKNOWN and status.confirmed == Gear.UNKNOWN:
+            what = f"{window.name.lower()} is not confirmed after {in_row} samples in a row"
+            return step.at_s, what
     return None
 
 
@@ -207,7 +217,7 @@ def false_position(record: RunRecord, circumstances: Circumstances) -> Broken:
     back_s = circumstances.sight_s + 2.0 * circumstances.control.e2e.position_timeout_s
     back_s += 2.5 / low_pass.fc_hz if low_pass.enabled else 0.0
     afresh_s = math.inf  # when the estimate began that is reported
-    for step in _positions(record, circumstances):
+    for step in _steps(record, circumstances, PositionPulse):
         at_s, status = step.at_s, step.status
         if step.valid_s < at_s or math.isinf(afresh_s):
             afresh_s = at_s if step.valid_s >= at_s and step.arrived else math.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import zip_longest
 from typing import Any
 
@@ -26,20 +27,26 @@ Reports = list[tuple[BusFrame, ControllerStatus | None]]
 
 def accepted_status(record: RunRecord) -> Reports:
     """Return the status frames that pass end-to-end protection; None where it turns invalid."""
-    return accepted(record, ControllerStatus)
+    return _accepted(record, ControllerStatus)
 
 
-def accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
-    """Return the frames of a message that pass end-to-end protection; None where it turns invalid."""
+def sent(record: RunRecord, kind: Any) -> Iterator[tuple[float, Any]]:
+    """Yield the controller's messages that pass end-to-end protection, with the time in s of sending."""
+    for entry, message in _accepted(record, kind):
+        if message is not None and entry.sender == SENDER:
+            yield entry.released_ns / NS_PER_S, message
+
+
+def _accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
     receiver = Receiver(kind, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
-    reports: list[tuple[BusFrame, Any]] = []
+    messages: list[tuple[BusFrame, Any]] = []
     for entry in record.frames_of(can_id_of(kind)):
         status = receiver.receive(entry.arrival_ns, entry.frame)
         if receiver.state(entry.arrival_ns) is not E2eState.VALID:
-            reports.append((entry, None))
+            messages.append((entry, None))
         elif status in ACCEPTED:
-            reports.append((entry, receiver.message))
-    return reports
+            messages.append((entry, receiver.message))
+    return messages
 
 
 def falsely_reported(record: RunRecord, windows: WindowConfig) -> NDArray[np.bool_]:

@@ -14,6 +14,8 @@ import msgspec
 from controller.config import FirmwareConfig
 from sil.recording.run_record import RunRecord
 
+Broken = tuple[float, str] | None
+
 
 @dataclass(frozen=True)
 class Circumstances:
@@ -58,7 +60,7 @@ class Rule:
     name: str
     sentence: str
     source: str
-    first: Callable[[RunRecord, Circumstances], tuple[float, str] | None]
+    first: Callable[[RunRecord, Circumstances], Broken]
 
 
 def violations(

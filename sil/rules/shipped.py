@@ -32,17 +32,16 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
+from controller.strategies import parameters
 from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import true_runs
 from sil.rules import inputs
-from sil.rules.reports import SENDER, accepted, accepted_status, falsely_reported
-from sil.rules.rule import Circumstances, Rule
+from sil.rules.reports import SENDER, falsely_reported, sent
+from sil.rules.rule import Broken, Circumstances, Rule
 
 PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
 UNDER_WAY = (ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.BLOW, ShiftState.VENT)
-
-Broken = tuple[float, str] | None
 
 
 def orphaned(record: RunRecord, circumstances: Circumstances) -> NDArray[np.bool_]:
@@ -91,29 +90,28 @@ def _false_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 def _energised(record: RunRecord, closed: float) -> dict[Chamber, list[float]]:
     """Return when, s, the controller sent a command or a blow that energises each chamber's coil."""
-    sent: dict[Chamber, list[float]] = {Chamber.B: [], Chamber.N: [], Chamber.F: []}
-    for entry, command in accepted(record, ValveCommand):
-        if entry.sender == SENDER and command is not None:
-            duties = (command.duty_b, command.duty_n, command.duty_f)
-            for chamber, duty in zip(sent, duties, strict=True):
-                if duty > closed:
-                    sent[chamber].append(entry.released_ns / NS_PER_S)
-    for entry, blow in accepted(record, SafetyBlow):
-        if entry.sender == SENDER and blow is not None and blow.active and blow.chamber in sent:
-            sent[blow.chamber].append(entry.released_ns / NS_PER_S)
-    return {chamber: sorted(set(times)) for chamber, times in sent.items()}
+    on: dict[Chamber, set[float]] = {Chamber.B: set(), Chamber.N: set(), Chamber.F: set()}
+    for at_s, command in sent(record, ValveCommand):
+        duties = (command.duty_b, command.duty_n, command.duty_f)
+        for times, duty in zip(on.values(), duties, strict=True):
+            if duty > closed:
+                times.add(at_s)
+    for at_s, blow in sent(record, SafetyBlow):
+        if blow.active and blow.chamber in on:
+            on[blow.chamber].add(at_s)
+    return {chamber: sorted(times) for chamber, times in on.items()}
 
 
 def _opposed_chambers(record: RunRecord, circumstances: Circumstances) -> Broken:
     """Backward and forward are not filled sooner after each other than the interlock."""
     control = circumstances.control
-    sent = _energised(record, control.duty_closed)
+    on = _energised(record, control.duty_closed)
     least_s = (control.shift.interlock_s - 1e-6) * circumstances.slow_clock
     for chamber, opposite in ((Chamber.B, Chamber.F), (Chamber.F, Chamber.B)):
-        for at_s in sent[chamber]:
-            before = bisect_right(sent[opposite], at_s)
-            if before and at_s - sent[opposite][before - 1] < least_s:
-                gap_ms = 1e3 * (at_s - sent[opposite][before - 1])
+        for at_s in on[chamber]:
+            before = bisect_right(on[opposite], at_s)
+            if before and at_s - on[opposite][before - 1] < least_s:
+                gap_ms = 1e3 * (at_s - on[opposite][before - 1])
                 return at_s, f"{chamber.name} is filled {gap_ms:.0f} ms after {opposite.name}"
     return None
 
@@ -193,13 +191,6 @@ def _is_answer(status: ControllerStatus, target: Gear) -> bool:
     return refused or status.confirmed == target
 
 
-def _reports(record: RunRecord) -> Iterator[tuple[float, ControllerStatus]]:
-    """Yield what the controller reported, with the time in s at which it was sent."""
-    for entry, status in record.each(ControllerStatus):
-        if entry.sender == SENDER:
-            yield entry.released_ns / NS_PER_S, status
-
-
 def _early_refusal(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No push is given up before all its attempts have timed out."""
     shift, period_s = circumstances.control.shift, circumstances.control.period_s
@@ -207,7 +198,7 @@ def _early_refusal(record: RunRecord, circumstances: Circumstances) -> Broken:
     least_s = (least_s - 3.0 * period_s) * circumstances.slow_clock
     pushed_s = -math.inf
     timed_out = False
-    for at_s, status in _reports(record):
+    for at_s, status in sent(record, ControllerStatus):
         expired = Fault.SHIFT_TIMEOUT in status.faults
         if expired and not timed_out and at_s - pushed_s < least_s:
             what = f"a push is given up after {at_s - pushed_s:.2f} s; its attempts last {least_s:.2f} s"
@@ -248,7 +239,7 @@ def _early_rest(record: RunRecord, circumstances: Circumstances) -> Broken:
         return None
     least_s = (control.shift.init_timeout_s - 3.0 * control.period_s) * circumstances.slow_clock
     searches_s, before = -math.inf, ShiftState.INIT  # the record may begin within a search
-    for at_s, status in _reports(record):
+    for at_s, status in sent(record, ControllerStatus):
         if status.state is ShiftState.INIT and before is not ShiftState.INIT:
             searches_s = at_s
         ends = before is ShiftState.INIT and status.state is ShiftState.IDLE
@@ -260,21 +251,28 @@ def _early_rest(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 
 def _cut_blow(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """No gear but neutral is held before its blow has lasted as long as it is set."""
+    """No requested gear is held before its blow has lasted as long as it is set."""
     control = circumstances.control
-    cut = control.blow.cut == "confirmation" or control.strategy == "blow_cut"
-    if cut or circumstances.disturbed or control.ns_per_instruction:
+    if control.blow.cut == "confirmation" or circumstances.disturbed or control.ns_per_instruction:
         return None
-    least_s = (control.blow.duration_s - 2.0 * control.period_s) * circumstances.slow_clock
+    least_s = control.blow.duration_s
+    if control.strategy == "blow_cut":
+        limits = parameters("blow_cut", control.strategy_parameters)
+        least_s = min(least_s, limits.otherwise_s)  # type: ignore[attr-defined]
+    least_s = (least_s - 2.0 * control.period_s) * circumstances.slow_clock
+    requests = list(_request_changes(record))
     blows_s, before = math.inf, ShiftState.HOLD
-    for at_s, status in _reports(record):
+    for at_s, status in sent(record, ControllerStatus):
         if before is not ShiftState.BLOW:
             blows_s = at_s
-        engaged = status.confirmed in (Gear.BACKWARD, Gear.FORWARD)
         ends = before in (*PUSHING, ShiftState.BLOW) and status.state is ShiftState.HOLD
-        if engaged and ends and at_s - blows_s < least_s:
-            gear = status.confirmed.name.lower()
-            return at_s, f"the blow into {gear} ends after {1e3 * (at_s - blows_s):.0f} ms"
+        if ends and at_s - blows_s < least_s:
+            gear, since_s = status.confirmed, blows_s - 2.0 * control.period_s
+            if any(r.target == gear and t < since_s and at_s < u for t, r, u in requests):
+                what = (
+                    f"the blow into {gear.name.lower()} ends after {1e3 * (at_s - blows_s):.0f} ms"
+                )
+                return at_s, what
         before = status.state
     return None
 
@@ -282,18 +280,17 @@ def _cut_blow(record: RunRecord, circumstances: Circumstances) -> Broken:
 def _unnamed_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No fault state is reported without the fault that led to it."""
     unnamed = ~(Fault.REQUEST_LOST | Fault.SPEEDS_LOST | Fault.REQUEST_INVALID)
-    for entry, status in accepted_status(record):
-        failed = status is not None and status.state is ShiftState.FAULT and entry.sender == SENDER
-        if failed and status is not None and not status.faults & unnamed:
-            return entry.released_ns / NS_PER_S, "the fault state is reported without a fault"
+    for at_s, status in sent(record, ControllerStatus):
+        if status.state is ShiftState.FAULT and not status.faults & unnamed:
+            return at_s, "the fault state is reported without a fault"
     return None
 
 
 def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No error of the firmware itself is reported (INTERNAL)."""
-    for entry, status in accepted_status(record):
-        if status is not None and entry.sender == SENDER and Fault.INTERNAL in status.faults:
-            return entry.released_ns / NS_PER_S, "the firmware caught an error of its own"
+    for at_s, status in sent(record, ControllerStatus):
+        if Fault.INTERNAL in status.faults:
+            return at_s, "the firmware caught an error of its own"
     return None
 
 
@@ -335,6 +332,7 @@ RULES = tuple(
         (inputs.false_position, "thesis 2.2.4: position sensor and filter"),
         (inputs.unrequested_push, "controller.e2e.request_timeout_s; AUTOSAR PRS E2E Protocol"),
         (inputs.false_loss, "controller.e2e.startup_s; AUTOSAR PRS E2E Protocol"),
+        (inputs.missed_loss, "controller.e2e; AUTOSAR PRS E2E Protocol"),
         (_opposed_chambers, "controller.shift.interlock_s"),
         (_coil_on_time, "controller.shift.push_timeout_s, controller.blow.duration_s"),
         (_unanswered_request, "shift state machine: push, retries, fault"),

@@ -9,7 +9,7 @@ from pathlib import Path
 from can_dbc.errors import InputError
 from can_dbc.user_file import before_running, error_text, exits_raise, read_user_file
 from sil.recording.run_record import RunRecord
-from sil.rules.rule import Circumstances, Rule
+from sil.rules.rule import Broken, Circumstances, Rule
 from sil.rules.shipped import RULES
 
 
@@ -46,7 +46,7 @@ def _guarded(rule: Rule, file: Path) -> Rule:
     """Return a rule whose errors on a run are of one line."""
     line = getattr(getattr(rule.first, "__code__", None), "co_firstlineno", 1)
 
-    def first(record: RunRecord, circumstances: Circumstances) -> tuple[float, str] | None:
+    def first(record: RunRecord, circumstances: Circumstances) -> Broken:
         try:
             with exits_raise():
                 answer = rule.first(record, circumstances)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import msgspec
@@ -12,6 +13,7 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ControllerStatus, ShiftState
 from sil.recording.run_record import RunRecord
 from sil.rules import Rule, Violation, violations
+from sil.rules.reports import sent
 from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import from_table
@@ -43,11 +45,5 @@ def attempt(table: Mapping[str, Any], rules: Sequence[Rule]) -> Attempt:
 
 def transitions(record: RunRecord) -> dict[str, int]:
     """Return how often the controller reported each change of state, by "FROM -> TO"."""
-    taken: Counter[str] = Counter()
-    before = ShiftState.INIT
-    for entry, status in record.each(ControllerStatus):
-        if entry.sender == "controller":
-            if status.state is not before:
-                taken[f"{before.name} -> {status.state.name}"] += 1
-            before = status.state
-    return dict(taken)
+    states = [ShiftState.INIT, *(status.state for _, status in sent(record, ControllerStatus))]
+    return Counter(f"{a.name} -> {b.name}" for a, b in pairwise(states) if a is not b)

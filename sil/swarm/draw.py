@@ -7,7 +7,7 @@ import random
 from collections.abc import Mapping
 from typing import Any
 
-from sil.swarm.vocabulary import state, vocabulary
+from sil.swarm.vocabulary import GUARDED, state, vocabulary
 
 Table = dict[str, Any]
 GEARS = ("neutral", "backward", "forward")
@@ -90,7 +90,9 @@ def _add_request(table: Table, rng: random.Random, at_s: float | None = None) ->
 def _add_fault(table: Table, rng: random.Random) -> None:
     group = rng.choice(list(vocabulary().values()))
     kind = rng.choice(sorted({fault.kind for fault in group}))
-    state(table, rng.choice([fault for fault in group if fault.kind == kind]), rng)
+    faults = [fault for fault in group if fault.kind == kind]
+    guarded = [fault for fault in faults if fault.whom in GUARDED]
+    state(table, rng.choice(guarded if guarded and rng.random() < 0.7 else faults), rng)
 
 
 def _set(table: Table, path: str, rng: random.Random) -> None:

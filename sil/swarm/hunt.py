@@ -11,6 +11,7 @@ import json
 import os
 import random
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import count
@@ -44,13 +45,11 @@ class Failure(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def cause(self) -> tuple[str, ...]:
         """The rule with the kinds of fault that are needed to break it: reported once."""
-        rows = [
-            f"{name}.{row['kind']}"
-            for name, entries in self.table.items()
-            if name.endswith("fault")
-            for row in entries
-        ]
-        return (self.rule, *sorted(rows))
+        faults = ((name, rows) for name, rows in self.table.items() if name.endswith("fault"))
+        return (
+            self.rule,
+            *sorted(f"{name}.{row['kind']}" for name, rows in faults for row in rows),
+        )
 
 
 class Generation(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,12 +72,7 @@ class Hunt:
     """A swarm around a base scenario."""
 
     def __init__(
-        self,
-        base: Mapping[str, Any],
-        seed: int,
-        rules: Sequence[Rule],
-        *,
-        size: int = GENERATION,
+        self, base: Mapping[str, Any], seed: int, rules: Sequence[Rule], *, size: int = GENERATION
     ) -> None:
         self._base = dict(base)
         self._seed = seed
@@ -125,22 +119,18 @@ class Hunt:
         begun = time.perf_counter()
         tables = [self.table(number, index) for index in range(self._size)]
         shortest: dict[str, int] = {}
-        transitions: dict[str, int] = {}
-        broken: dict[str, int] = {}
+        transitions: Counter[str] = Counter()
+        broken: Counter[str] = Counter()
         first: dict[str, int] = {}
         refused = 0
         for index, result in enumerate(runner(partial(attempt, rules=self._rules), tables)):
             refused += bool(result.refused)
-            for name, times in result.transitions.items():
-                transitions[name] = transitions.get(name, 0) + times
-                best = shortest.get(name)
-                if best is None or size_of(tables[index]) < size_of(tables[best]):
-                    shortest[name] = index
-            for violation in result.violations:
-                broken[violation.rule] = broken.get(violation.rule, 0) + 1
-                best = first.get(violation.rule)
-                if best is None or size_of(tables[index]) < size_of(tables[best]):
-                    first[violation.rule] = index
+            transitions.update(result.transitions)
+            rules = [violation.rule for violation in result.violations]
+            broken.update(rules)
+            for best, names in ((shortest, result.transitions), (first, rules)):
+                for name in names:
+                    best[name] = min(best.get(name, index), index, key=lambda k: size_of(tables[k]))
         failures = [
             failure
             for rule, index in first.items()
@@ -152,10 +142,10 @@ class Hunt:
             runs=len(tables),
             refused=refused,
             wall_s=round(time.perf_counter() - begun, 3),
-            transitions=transitions,
+            transitions=dict(transitions),
             shortest=shortest,
             failures=failures,
-            broken=broken,
+            broken=dict(broken),
         )
 
     def _shrunk(self, rule: str, table: Table, drawn: str) -> Failure:

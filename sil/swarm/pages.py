@@ -64,9 +64,8 @@ def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dic
     """Write swarm.json, the pictures and report.html; return the content of swarm.json."""
     possible = {f"{a.name} -> {b.name}" for (a, _), b in TRANSITIONS.items() if a is not b}
     counts = _write_transitions(hunt, folder)
-    taken = {
-        name: times for name, times in counts.items() if name in possible
-    }  # else a report was lost
+    # an impossible one: a report was lost
+    taken = {name: times for name, times in counts.items() if name in possible}
     result = {
         "runs": sum(generation.runs for generation in hunt.generations),
         "refused": sum(generation.refused for generation in hunt.generations),

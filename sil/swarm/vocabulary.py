@@ -17,19 +17,24 @@ from plant.devices.signal_faults import SpeedFault, TemperatureFault
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FrozenCounter
 
+GUARDED = {kind.__name__ for kind in PROTECTED}
+"""Messages with end-to-end protection."""
+
 Draw = Callable[[random.Random], Any]
 
 
 class Fault(NamedTuple):
-    """One fault of the vocabulary: the scenario's list it belongs to, its kind, and whom it hits."""
+    """One fault of the vocabulary: the scenario's list, its kind, whom it hits, its record's type."""
 
     where: str
     kind: str
     whom: str = ""
+    type: Any = None
 
 
-def _kinds(fault: type) -> tuple[str, ...]:
-    return typing.get_args(typing.get_type_hints(fault)["kind"])
+def _of_device(where: str, record: type, whom: Sequence[str] = ("",)) -> list[Fault]:
+    kinds = typing.get_args(typing.get_type_hints(record)["kind"])
+    return [Fault(where, kind, each, record) for kind in kinds for each in whom]
 
 
 @functools.cache
@@ -38,26 +43,24 @@ def vocabulary() -> dict[str, list[Fault]]:
     frames: list[Fault] = []
     nodes: list[Fault] = []
     intruders: list[Fault] = []
-    guarded = {kind.__name__ for kind in PROTECTED}
     for fault in typing.get_args(BusFault):
         kind, hints = str(fault.__struct_config__.tag), typing.get_type_hints(fault)
         if "node" in hints:
-            nodes += [Fault("fault", kind, whom) for whom in typing.get_args(hints["node"])]
+            nodes += [Fault("fault", kind, whom, fault) for whom in typing.get_args(hints["node"])]
             continue
         messages = typing.get_args(hints["message"]) if "message" in hints else ("",)
-        stated = [Fault("fault", kind, m) for m in messages for _ in range(1 + 3 * (m in guarded))]
+        stated = [Fault("fault", kind, m, fault) for m in messages]
         if fault is FrozenCounter:  # frames without a counter are refused
-            stated = [f for f in stated if f.whom in guarded]
+            stated = [f for f in stated if f.whom in GUARDED]
         (frames if "probability" in hints else intruders).extend(stated)
-    valves = typing.get_args(typing.get_type_hints(ValveFault)["valve"])
     return {
         "frames": frames,
         "nodes": nodes,
         "intruders": intruders,
-        "position": [Fault("sensor_fault", kind) for kind in _kinds(SensorFault)],
-        "temperature": [Fault("temperature_fault", kind) for kind in _kinds(TemperatureFault)],
-        "speeds": [Fault("speed_fault", kind) for kind in _kinds(SpeedFault)],
-        "valves": [Fault("valve_fault", kind, v) for kind in _kinds(ValveFault) for v in valves],
+        "position": _of_device("sensor_fault", SensorFault),
+        "temperature": _of_device("temperature_fault", TemperatureFault),
+        "speeds": _of_device("speed_fault", SpeedFault),
+        "valves": _of_device("valve_fault", ValveFault, ("B", "N", "F")),
         "bus and clocks": [Fault("bus", "load"), Fault("clock", "controller"),
                            Fault("clock", "driver")],
     }  # fmt: skip
@@ -98,15 +101,6 @@ PARAMETERS: dict[str, Draw] = {
 
 NEEDED = ("delay_s", "period_s", "can_id")
 PLACE = ("kind", "message", "node", "valve", "start_s", "end_s")
-STRUCTS = {"sensor_fault": SensorFault, "temperature_fault": TemperatureFault,
-           "speed_fault": SpeedFault, "valve_fault": ValveFault}  # fmt: skip
-
-
-def struct_of(fault: Fault) -> Any:
-    """Return the type of the scenario's table that states a fault."""
-    if fault.where in STRUCTS:
-        return STRUCTS[fault.where]
-    return next(t for t in typing.get_args(BusFault) if t.__struct_config__.tag == fault.kind)
 
 
 def window(rng: random.Random, requests_s: Sequence[float]) -> dict[str, float]:
@@ -116,14 +110,6 @@ def window(rng: random.Random, requests_s: Sequence[float]) -> dict[str, float]:
     if rng.random() < 0.5:
         return {"start_s": round(start, 4)}
     return {"start_s": round(start, 4), "end_s": round(start + rng.uniform(0.01, 0.5), 4)}
-
-
-def _repeated_after(message: str, rng: random.Random) -> float:
-    """Return a delay in s of repeated frames; half of them such that the counter has come round."""
-    if rng.random() < 0.5:
-        return round(rng.uniform(0.001, 0.4), 6)
-    period_s = 0.02 if message == "ShiftRequest" else 0.01
-    return round(period_s * rng.uniform(15.0, 16.0), 6)
 
 
 def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
@@ -139,15 +125,16 @@ def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
         "kind": fault.kind,
         **window(rng, [request["at_s"] for request in table["request"]]),
     }
-    names = [f.name for f in msgspec.structs.fields(struct_of(fault))]
+    names = [f.name for f in msgspec.structs.fields(fault.type)]
     for place in ("message", "node", "valve"):
         if place in names:
             stated[place] = fault.whom
     for name in names:
         if name not in PLACE and (name in NEEDED or rng.random() < 0.5):
             stated[name] = PARAMETERS[name](rng)
-    if fault.kind == "replayed":
-        stated["delay_s"] = _repeated_after(fault.whom, rng)
+    if fault.kind == "replayed" and rng.random() < 0.5:  # when the counter has come round
+        period_s = 0.02 if fault.whom == "ShiftRequest" else 0.01
+        stated["delay_s"] = round(period_s * rng.uniform(15.0, 16.0), 6)
     if fault.kind in ("dead", "sent"):
         stated.pop("end_s", None)
     elif fault.kind == "stalled":

@@ -8,7 +8,15 @@ from typing import Any
 import pytest
 
 from can_dbc.codec import can_id_of
-from can_dbc.messages import ControllerStatus, Fault, Gear, PositionPulse, ShiftRequest, ShiftState
+from can_dbc.messages import (
+    ControllerStatus,
+    DrivelineSpeeds,
+    Fault,
+    Gear,
+    PositionPulse,
+    ShiftRequest,
+    ShiftState,
+)
 from sil.recording.run_record import RunRecord
 from tests.unit.sil.rules.test_rules import broken, healthy, sent_otherwise
 
@@ -42,8 +50,12 @@ def test_a_gear_confirmed_after_the_samples_have_ended() -> None:
 
 
 def test_a_push_without_a_request() -> None:
-    assert broken(without(ShiftRequest, 0.0, healthy().record)) == ["unrequested_push"]
-    assert broken(without(ShiftRequest, 0.105, healthy().record)) == []  # its latest is still valid
+    assert broken(without(ShiftRequest, 0.0, healthy().record)) == [
+        "unrequested_push",
+        "missed_loss",
+    ]
+    latest = without(ShiftRequest, 0.105, healthy().record)  # still valid when the push begins
+    assert broken(latest) == ["missed_loss"]
 
 
 def test_a_gear_confirmed_before_its_samples() -> None:
@@ -86,6 +98,18 @@ def test_a_gear_that_is_there_and_not_confirmed() -> None:
     assert broken(changed(1.5, confirmed=Gear.UNKNOWN)) == ["unconfirmed_gear"]
     assert broken(changed(1.5, confirmed=Gear.UNKNOWN), disturbed=True) == []
     assert broken(changed(1.5, confirmed=Gear.UNKNOWN, state=ShiftState.VENT)) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "fault"),
+    [(PositionPulse, Fault.POSITION_LOST), (ShiftRequest, Fault.REQUEST_LOST),
+     (DrivelineSpeeds, Fault.SPEEDS_LOST)],
+)  # fmt: skip
+def test_a_loss_that_is_not_reported(kind: type[Any], fault: Fault) -> None:
+    assert "missed_loss" in broken(without(kind, 1.0, healthy().record))
+    reported = without(kind, 1.0, changed(1.05, faults=fault))
+    assert "missed_loss" not in broken(reported)
+    assert "missed_loss" in broken(without(kind, 0.0, healthy().record))  # none at all
 
 
 @pytest.mark.parametrize("fault", [Fault.POSITION_LOST, Fault.REQUEST_LOST])

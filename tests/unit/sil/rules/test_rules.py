@@ -23,7 +23,6 @@ from sil.rules.user_file import load_rules
 from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import from_table
-from tests.conftest import ROOT
 from tests.faults.drawn import base
 
 SHORT = {"controller": {"shift": {"push_timeout_s": 0.3, "retries": 0}}, "duration_s": 2.0}
@@ -175,8 +174,3 @@ def test_rules_of_a_users_file(tmp_path: Path) -> None:
             load_rules(str(file))
     with pytest.raises(InputError, match="no such file"):
         load_rules(str(tmp_path / "none.py"))
-
-
-def test_the_guide_lists_every_rule() -> None:
-    guide = (ROOT / "docs" / "how-to" / "swarm.md").read_text()
-    assert all(f"| `{rule.name}` | {rule.sentence} |" in guide for rule in RULES)
