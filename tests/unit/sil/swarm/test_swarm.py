@@ -104,7 +104,7 @@ def test_shrinking_leaves_what_is_needed() -> None:
         (["none", "--runs", "1"], "none: scenario: "),
         (["none.py", "--runs", "1"], "no such file"),
         (["empty.py", "--runs", "1"], "empty.py:1: LookupError: no class 'Firmware'"),
-        (["loop.py", "--runs", "1"], "loop.py'; expected a path that can exist"),
+        (["loop.py", "--runs", "1"], "loop.py: no such file"),
         ([".", "--runs", "1"], "is a folder; expected FILE.py"),
         (["lab_n_b", "--runs", "1", "--resume"], "--resume: no folder"),
         (["lab_n_b", "--runs", "1", "--workers", "0"], "--workers 0"),
