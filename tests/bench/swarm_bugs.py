@@ -34,7 +34,7 @@ from sil.swarm.hunt import Hunt
 from sil.swarm.shrink import shrink
 from tests.support.firmware_bugs import BUGS, MUTANT_SEED, Bug, mutants, with_bug
 
-RUNS = 1024
+RUNS = 2048
 SEED = 1
 
 
