@@ -128,6 +128,8 @@ def test_wrong_arguments_end_in_one_line(
 @pytest.mark.slow
 def test_a_cluster_interruptions_and_two_workers_make_no_difference(tmp_path: Path) -> None:
     """Rules of one's own and a firmware in C included; broken in every generation."""
+    pytest.importorskip("wasmtime", reason="extra c")
+    pytest.importorskip("ziglang", reason="extra c")
     from distributed import LocalCluster
 
     file = tmp_path / "rules.py"
@@ -158,6 +160,8 @@ def test_a_cluster_interruptions_and_two_workers_make_no_difference(tmp_path: Pa
 def test_a_bug_is_found_and_fails_by_itself(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("wasmtime", reason="extra c")
+    pytest.importorskip("ziglang", reason="extra c")
     firmware = with_bug(BUGS["timeout_off_by_one"], tmp_path / "firmware")
     out = tmp_path / "out"
     command = ["swarm", str(firmware), "--runs", "256", "--workers", "2", "--out", str(out)]
