@@ -136,10 +136,12 @@ def false_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
 def missed_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No loss of position, request or speeds goes unreported."""
     grace_s, startup_s = _grace_s(circumstances), circumstances.control.e2e.startup_s
-    begin_s = _begin_s(record) + startup_s * circumstances.slow_clock
+    startup_s *= circumstances.slow_clock
     for kind, (fault, _) in CHANNELS.items():
+        begin_s = math.inf  # of the firmware, which waits for a channel that has never been valid
         for step in _steps(record, circumstances, kind):
-            deaf_s = step.at_s - max(step.valid_s, begin_s)
+            begin_s = min(begin_s, step.at_s)
+            deaf_s = step.at_s - max(step.valid_s, begin_s + startup_s)
             if deaf_s > grace_s and fault not in step.status.faults:
                 what = (
                     f"{fault.name} is not reported {1e3 * deaf_s:.0f} ms after the last valid frame"
