@@ -88,10 +88,7 @@ def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dic
             (str(count), "failures"),
         ],
     )
-    rows = [
-        {"name": name, "rule": each.rule, "text": each.text, "picture": pictures[name]}
-        for name, each in failures.items()
-    ]
+    rows = [(name, failure, pictures[name]) for name, failure in failures.items()]
     page = render("swarm.html", head, failures=rows, transitions=result["transitions"], never=result["never_taken"])  # fmt: skip
     write_atomically(folder / "report.html", page)
     return result
