@@ -13,7 +13,7 @@ import stat
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from can_dbc.errors import InputError
 
@@ -30,6 +30,22 @@ def read_user_file(
     cannot be read, or is larger than `most_bytes`.
     """
     source = os.fspath(path)
+    with regular_file(source, expected) as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise InputError(
+            f"{source}: larger than {_size(most_bytes)}; expected {expected}, at most that large"
+        )
+    return content
+
+
+@contextlib.contextmanager
+def regular_file(path: str | os.PathLike[str], expected: str) -> Iterator[BinaryIO]:
+    """Open a file that the user named; `expected` says in messages what it should be.
+
+    Raises InputError for a file that is missing, is a folder, device or pipe, or cannot be read.
+    """
+    source = os.fspath(path)
     try:
         mode = os.stat(source).st_mode
         if stat.S_ISDIR(mode):
@@ -37,7 +53,7 @@ def read_user_file(
         if not stat.S_ISREG(mode):  # a pipe that nobody writes to would wait for ever
             raise InputError(f"{source}: is a device or pipe; expected {expected}")
         with open(source, "rb") as file:
-            content = file.read(most_bytes + 1)
+            yield file
     except FileNotFoundError:
         raise InputError(f"{source}: no such file; expected {expected}") from None
     except OSError as error:
@@ -47,11 +63,6 @@ def read_user_file(
     except ValueError as error:
         why = "a null byte in the name" if "\0" in str(source) else error  # or one of no encoding
         raise InputError(f"{source!r}: {why}; expected {expected}") from None
-    if len(content) > most_bytes:
-        raise InputError(
-            f"{source}: larger than {_size(most_bytes)}; expected {expected}, at most that large"
-        )
-    return content
 
 
 def read_user_text(

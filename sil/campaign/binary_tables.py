@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import regular_file
 from sil.files.extras import import_extra
 
 Floats = NDArray[np.float64]
@@ -147,7 +148,10 @@ def _parquet(path: Path) -> Channels:
 def _tdms(path: Path) -> Channels:
     nptdms = import_extra("nptdms", "lab", f"{path}: TDMS")
     channels = Channels()
-    for group in nptdms.TdmsFile.read(path).groups():
+    nptdms.log.log_manager.set_level("ERROR")  # what is wrong is told once
+    with path.open("rb") as file:  # which the library leaves open where it fails
+        content = nptdms.TdmsFile.read(file)
+    for group in content.groups():
         for channel in group.channels():
             timed = "wf_increment" in channel.properties
             time_s = channel.time_track() if timed else None
@@ -183,6 +187,8 @@ def read_binary(path: Path) -> tuple[dict[str, Floats], str, dict[str, str]]:
     Raises InputError for a missing extra, a file that is not what its suffix says, no channels.
     """
     suffix = path.suffix.lower()
+    with regular_file(path, f"a {suffix[1:].upper()} file"):
+        pass  # the library opens it by its name
     try:
         channels = BINARY[suffix](path)
         columns, note = channels.table(path)

@@ -14,6 +14,7 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
+from types import FrameType
 from typing import Any, NoReturn
 
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
@@ -22,6 +23,7 @@ _STDOUT = "standard output"
 _ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _interrupts: list[int] = []  # signals that arrived: a library may make an error of its own of one
+_interrupted_at: list[str] = []  # FILE:LINE of a user's Python that was running then
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
@@ -87,8 +89,10 @@ def _handle_signals(handler: Any) -> None:
             signal.signal(number, handler)
 
 
-def _interrupt(number: int, _frame: object) -> NoReturn:
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     _interrupts.append(number)
+    if (watched := sys.modules.get("sil.cli.watched")) is not None:
+        _interrupted_at.extend(watched.places(frame))
     raise KeyboardInterrupt(number)
 
 
@@ -286,12 +290,12 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
             message, code = f"{message}; expected a path with permission", BAD_INPUT
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
-    except Exception:  # also one that a library made of an interrupt
-        if not _interrupts:
+    except Exception as error:
+        if not _interrupts:  # else a library may have made it of one
             raise
-        message, code = "interrupted", _interrupted_code()
+        message, code = str(error), NOT_FINISHED
     if _interrupts:
-        message, code = "interrupted", _interrupted_code()
+        message, code = " at ".join(["interrupted", *_interrupted_at[:1]]), _interrupted_code()
     message = _shortened(message)
     notes = _settle(f"opc4 {name}: {message}")
     print(f"opc4 {name}: {'; '.join([message, *notes])}", file=sys.stderr)

@@ -10,6 +10,9 @@ import re
 import signal
 import sys
 import tempfile
+import traceback
+from collections.abc import Iterator
+from types import FrameType
 from typing import Any
 
 from can_dbc.user_file import crash_places, resolved
@@ -44,11 +47,21 @@ def go_on_in_child(file: str) -> None:
 
 def _wait(child: int, file: str, stacks: Any) -> None:
     """End this process as the child ended, with a line where a signal of its own killed that."""
+    interrupts: list[int] = []
+
+    def interrupt(number: int, _frame: object) -> None:
+        """Interrupt the child; end it where it is in compiled code and does not answer."""
+        os.kill(child, signal.SIGKILL if interrupts else number)
+        interrupts.append(number)
+
     for number in ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, lambda number, _frame: os.kill(child, number))
+            signal.signal(number, interrupt)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if code < 0:
+    if code == -signal.SIGKILL and len(interrupts) > 1:
+        os.write(2, f"opc4 {sys.argv[1]}: interrupted\n".encode())
+        code = 128 + interrupts[0]
+    elif code < 0:
         where = _place(stacks) or file
         why = f"{where}: its process ended: killed by {signal.Signals(-code).name}"
         os.write(2, f"opc4 {sys.argv[1]}: {why}\n".encode(errors="replace"))
@@ -56,6 +69,13 @@ def _wait(child: int, file: str, stacks: Any) -> None:
             os.write(1, f"{json.dumps({'error': why, 'exit_code': NOT_FINISHED})}\n".encode())
         code = NOT_FINISHED
     os._exit(code)
+
+
+def places(frame: FrameType | None) -> Iterator[str]:
+    """Yield FILE:LINE of each call of a user's file, innermost first."""
+    for caller, line in traceback.walk_stack(frame):
+        name = resolved(caller.f_code.co_filename)
+        yield from (f"{file}:{line}" for file in _files if name == resolved(file))
 
 
 def _place(stacks: Any) -> str:

@@ -215,6 +215,7 @@ def test_only_columns_in_use_must_be_finite(tmp_path: Path, fill: float) -> None
 
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "nptdms", None)
+    (tmp_path / "a.tdms").touch()
     with pytest.raises(InputError, match=r"a\.tdms: TDMS needs nptdms.*lab"):
         read_record(tmp_path / "a.tdms")
 

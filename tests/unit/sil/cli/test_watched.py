@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -53,4 +55,19 @@ def test_an_interrupt_reaches_the_child(tmp_path: Path) -> None:
     assert process.stdout is not None and process.stdout.readline() == "begun\n"
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
-    assert (process.returncode, errors) == (130, "opc4 swarm: interrupted\n")
+    assert process.returncode == 130
+    assert re.fullmatch(r"opc4 swarm: interrupted at own\.py:[23]\n", errors)
+
+
+def test_a_second_interrupt_ends_code_that_does_not_answer(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "import signal\nsignal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])\n"
+        "print('begun', flush=True)\nwhile True: pass\n"
+    )
+    process = opc4(tmp_path, "run", "lab_n_b", "--effects", "own.py")
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.3)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "opc4 run: interrupted\n")
