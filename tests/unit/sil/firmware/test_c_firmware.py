@@ -77,6 +77,11 @@ def test_the_shipped_firmware_in_c_gives_the_same_trace() -> None:
         assert len(hashes) == 1, name
 
 
+@pytest.mark.parametrize("source", [SHIPPED_IN_C, DRAFT], ids=lambda path: path.name)
+def test_the_sources_compile_without_a_warning(source: Path) -> None:
+    assert compiler.compiled(source, options=(*compiler.WARNINGS, "-Werror"))
+
+
 def test_drawn_shifts_with_faults_send_the_same_frames() -> None:
     for number in range(len(STRATEGIES)):
         run_with_twins(varied(number), str(SHIPPED_IN_C))
