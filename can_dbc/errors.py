@@ -33,9 +33,9 @@ def escaped(text: str) -> str:
 
 
 def os_error_text(error: OSError) -> str:
-    """Return the reason of a system error, after the path if the error has one."""
-    why = error.strerror or str(error)
-    return f"{error.filename}: {why}" if error.filename else why
+    """Return the reason of a system error, after the path if the error has one; of two the second one, a target."""
+    why, file = error.strerror or str(error), error.filename2 or error.filename
+    return f"{file}: {why}" if file else why
 
 
 def nearest(name: str, names: Iterable[str], count: int = 3, cutoff: float = 0.6) -> list[str]:

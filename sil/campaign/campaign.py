@@ -23,6 +23,7 @@ from plant.systems.stroke import Stroke, StrokeConditions
 from sil.campaign.formula import formula
 from sil.campaign.tables import Decimal, read_columns
 from sil.campaign.units import SCALES
+from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
 from sil.files.quantity import counted
 from sil.files.units import without_units
@@ -467,8 +468,7 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
     table = np.column_stack(list(columns.values()))
     # one formatting call for the whole table: np.savetxt makes one a row and takes twice as long
     rows = ((",".join(formats) + "\n") * len(table)) % tuple(table.ravel().tolist())
-    with path.open("w", encoding="ascii", newline="\n") as file:
-        file.write(",".join(columns) + "\n" + rows)
+    write_atomically(path, ",".join(columns) + "\n" + rows)
 
 
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:

@@ -286,7 +286,7 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         message, code = os_error_text(error), NOT_FINISHED
         if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
             message, code = f"{message}; expected a path that can exist", BAD_INPUT
-        elif error.errno == errno.EACCES:
+        elif error.errno in (errno.EACCES, errno.EROFS):
             message, code = f"{message}; expected a path with permission", BAD_INPUT
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED

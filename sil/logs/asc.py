@@ -111,7 +111,7 @@ def _direction(word: str) -> str:
 
 def _identifier(digits: str, decimal: bool) -> int:
     if decimal and not digits.isdecimal():
-        raise ValueError(f"identifier {digits} ; expected a decimal number as the header states")
+        raise ValueError(f"identifier {digits}; expected a decimal number as the header states")
     return int(digits, 10 if decimal else 16)
 
 

@@ -104,7 +104,7 @@ def _identifier(digits: str) -> tuple[int, bool, bool]:
         raise ValueError(f"identifier {digits} has {len(digits)} digits; candump writes 3 or 8")
     number = int(digits, 16)
     if number & ~_ERROR_FLAG > MAX_EXTENDED_ID:
-        raise ValueError(f"identifier {digits} ; expected at most 1FFFFFFF")
+        raise ValueError(f"identifier {digits}; expected at most 1FFFFFFF")
     error = bool(number & _ERROR_FLAG)
     return number & ~_ERROR_FLAG, len(digits) == 8 and not error, error
 

@@ -7,7 +7,6 @@ Checked by: tests/unit/sil/inference/campaign/test_new_campaign.py
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -102,7 +101,7 @@ def draft(
         lines += [f"# read as {dialect}"] if dialect else []
         lines += [] if rig == "force" else _conditions(rig, channels, table)
         if not (folder / file.name).exists() or not file.samefile(folder / file.name):
-            shutil.copyfile(file, folder / file.name)
+            write_atomically(folder / file.name, file.read_bytes())
     write_atomically(folder / "campaign.toml", "\n".join(lines) + "\n")
     save(_figure(files, drawn, channels), folder, "channels")
     return list(map(str, channels)), asked

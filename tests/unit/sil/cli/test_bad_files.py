@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -62,3 +63,23 @@ def test_a_bad_file_is_refused_in_one_line(
     (line,) = captured.err.splitlines()
     assert captured.out == "" and str(path) in line
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_full_disk_is_told_with_the_file_that_it_has_no_room_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{k / 1000},{k * 1e-4},{k}\n" for k in range(100))
+    Path("x.csv").write_text(f"time_s,position_m,force_n\n{rows}")
+    replace, reason = os.replace, (errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def full(source: str, target: Path) -> None:
+        if target.name == "x.csv":
+            raise OSError(*reason, str(source))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", full)
+    assert cli.main(["diagnose", "--new", "out", "--rig", "force", "x.csv"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"opc4 diagnose: out/x.csv: {reason[1]}"
+    assert not list(Path("out").glob("*x.csv*"))
