@@ -132,6 +132,14 @@ class FreeRun:
                     f"{message['name']}: {counted(message['missing'], 'frame')} missing, {message['frames']} on "
                     "the bus; this machine was too busy, or its sender was away"
                 )
+        if late := [
+            m for m in figures["messages"] if (m["jitter_max_s"] or 0.0) > 0.5 * m["period_s"]
+        ]:
+            worst_s = max(m["jitter_max_s"] for m in late)
+            self.warnings.append(
+                f"frames up to {1e3 * worst_s:.1f} ms off their period: this machine was too busy "
+                "for limits on times"
+            )
         return RunSummary(0, figures["frames"], wall_s, None)
 
     def figures(self) -> dict[str, Any]:
