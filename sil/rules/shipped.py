@@ -41,6 +41,7 @@ from sil.rules.reports import SENDER, falsely_reported, sent
 from sil.rules.rule import Broken, Circumstances, Rule
 
 PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
+STAGES = (ShiftState.BLOW, ShiftState.HOLD, ShiftState.VENT, ShiftState.IDLE)
 UNDER_WAY = (ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.BLOW, ShiftState.VENT)
 
 
@@ -250,29 +251,32 @@ def _early_rest(record: RunRecord, circumstances: Circumstances) -> Broken:
     return None
 
 
-def _cut_blow(record: RunRecord, circumstances: Circumstances) -> Broken:
-    """No requested gear is held before its blow has lasted as long as it is set."""
+def _cut_short(record: RunRecord, circumstances: Circumstances) -> Broken:
+    """No blow, hold or vent of a requested gear ends before it has lasted as long as it is set."""
     control = circumstances.control
     if control.blow.cut == "confirmation" or circumstances.disturbed or control.ns_per_instruction:
         return None
-    least_s = control.blow.duration_s
+    blow_s = control.blow.duration_s
     if control.strategy == "blow_cut":
         limits = parameters("blow_cut", control.strategy_parameters)
-        least_s = min(least_s, limits.otherwise_s)  # type: ignore[attr-defined]
-    least_s = (least_s - 2.0 * control.period_s) * circumstances.slow_clock
-    requests = list(_request_changes(record))
-    blows_s, before = math.inf, ShiftState.HOLD
+        blow_s = min(blow_s, limits.otherwise_s)  # type: ignore[attr-defined]
+    set_s = (blow_s, control.shift.hold_s, control.shift.vent_s)
+    requests, tolerance_s = list(_request_changes(record)), 2.0 * control.period_s
+    begun_s, before = math.inf, ShiftState.INIT
     for at_s, status in sent(record, ControllerStatus):
-        if before is not ShiftState.BLOW:
-            blows_s = at_s
-        ends = before in (*PUSHING, ShiftState.BLOW) and status.state is ShiftState.HOLD
-        if ends and at_s - blows_s < least_s:
-            gear, since_s = status.confirmed, blows_s - 2.0 * control.period_s
+        stage = ShiftState.BLOW if before in PUSHING else before  # one of no length
+        ends = stage in STAGES[:-1] and status.state is STAGES[STAGES.index(stage) + 1]
+        lasted_s = at_s - begun_s if stage is before else 0.0
+        if (
+            ends
+            and lasted_s < (set_s[STAGES.index(stage)] - tolerance_s) * circumstances.slow_clock
+        ):
+            since_s, gear = at_s - lasted_s - tolerance_s, status.confirmed
             if any(r.target == gear and t < since_s and at_s < u for t, r, u in requests):
-                what = (
-                    f"the blow into {gear.name.lower()} ends after {1e3 * (at_s - blows_s):.0f} ms"
-                )
-                return at_s, what
+                name = stage.name.lower()
+                return at_s, f"the {name} of {gear.name.lower()} ends after {1e3 * lasted_s:.0f} ms"
+        if status.state is not before:
+            begun_s = at_s
         before = status.state
     return None
 
@@ -339,7 +343,7 @@ RULES = tuple(
         (_early_refusal, "controller.shift.push_timeout_s, controller.shift.retries"),
         (_too_many_attempts, "controller.shift.retries"),
         (_early_rest, "controller.shift.init_timeout_s"),
-        (_cut_blow, "thesis 6.1; controller.blow.duration_s"),
+        (_cut_short, "thesis 6.1; controller.blow, shift.hold_s, shift.vent_s"),
         (_unnamed_fault, "shift state machine: a fault is latched with its state"),
         (_internal_fault, "controller.firmware"),
         (_sender_rules, "AUTOSAR PRS E2E Protocol, profile 2"),

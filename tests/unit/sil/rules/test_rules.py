@@ -117,14 +117,22 @@ def test_a_search_that_ends_too_early() -> None:
     assert broken(sent_otherwise(ControllerStatus, loses)) == ["early_rest"]
 
 
-def test_a_blow_that_is_cut() -> None:
-    def holds(time_s: float, status: ControllerStatus) -> ControllerStatus:
-        blows = status.state is ShiftState.BLOW
-        late = confirmed_s is not None and time_s > confirmed_s + 0.05
-        return dataclasses.replace(status, state=ShiftState.HOLD) if blows and late else status
+@pytest.mark.parametrize(
+    ("stage", "after"),
+    [(ShiftState.BLOW, ShiftState.HOLD), (ShiftState.HOLD, ShiftState.VENT),
+     (ShiftState.VENT, ShiftState.IDLE)],
+)  # fmt: skip
+def test_a_stage_that_is_cut_short(stage: ShiftState, after: ShiftState) -> None:
+    begun: list[float] = []
 
-    confirmed_s = healthy().shifts[0].confirmed_s
-    assert broken(sent_otherwise(ControllerStatus, holds)) == ["cut_blow"]
+    def cut(time_s: float, status: ControllerStatus) -> ControllerStatus:
+        if status.state is stage:
+            begun.append(time_s)
+            if time_s > begun[0] + 0.005:
+                return dataclasses.replace(status, state=after)
+        return status
+
+    assert broken(sent_otherwise(ControllerStatus, cut)) == ["cut_short"]
 
 
 def test_a_fault_state_without_a_fault() -> None:
