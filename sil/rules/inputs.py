@@ -39,6 +39,7 @@ CHANNELS: dict[type, tuple[Fault, str]] = {
 }
 """What the firmware receives: the fault that tells the loss, and the setting of its timeout."""
 
+STATUS_ID = can_id_of(ControllerStatus)
 UNSEEN = Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK
 
 
@@ -55,9 +56,12 @@ class _Step:
 
 
 def _steps(record: RunRecord, circumstances: Circumstances, kind: Any) -> Iterator[_Step]:
-    channel = Receiver(kind, E2eConfig(round(_timeout_s(circumstances, kind) * NS_PER_S)))
     frames = list(record.frames_of(can_id_of(kind)))
+    config = E2eConfig(round(_timeout_s(circumstances, kind) * NS_PER_S))
     computation_ns = circumstances.control.computation_ns * circumstances.slow_clock
+    begins = [round(f.released_ns - computation_ns) for f in record.frames_of(STATUS_ID)]
+    start_ns = min(begins[:1] + [frame.arrival_ns for frame in frames[:1]], default=0)
+    channel = Receiver(kind, config, max(start_ns, 0))  # counts from the firmware's first step
     # the record may be a piece of a run: until frames have followed each other
     valid_s = _begin_s(record) + 0.05
     taken = 0
@@ -67,7 +71,7 @@ def _steps(record: RunRecord, circumstances: Circumstances, kind: Any) -> Iterat
             if channel.receive(frames[taken].arrival_ns, frames[taken].frame) in ACCEPTED:
                 arrived.append(channel.message)
             taken += 1
-        if channel.state(max(at_ns, 0)) is E2eState.VALID:
+        if channel.state(max(at_ns, start_ns, 0)) is E2eState.VALID:
             valid_s = max(valid_s, at_ns / NS_PER_S)
         yield _Step(at_ns / NS_PER_S, status, arrived, valid_s)
 

@@ -22,7 +22,7 @@ class Circumstances:
     """What a rule may know of a run besides its record.
 
     control: the firmware's settings. driver_timeout_s: of the valve driver. late_s: longest time that
-    stated faults hold a frame back. sight_s: longest time until a motion of the stay shows in the
+    stated faults or loads hold a frame back. sight_s: longest time until a motion of the stay shows in the
     reports; infinite if a sensor may be wrong without looking so. true_samples: False if faults may
     change or repeat position samples. repeated_s: age of repeated reports.
     down_s: intervals in which the controller is dead or cut off. disturbed: True if faults or loads of

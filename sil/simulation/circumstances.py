@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from sil.coupling.faults import BusOff, Dead, Delay, Replayed, Stalled
+from sil.coupling.faults import Babbling, BusOff, Dead, Delay, Replayed, Stalled
 from sil.rules.rule import Circumstances
 from sil.simulation.scenario import Scenario
 
@@ -22,7 +22,7 @@ def circumstances(scenario: Scenario) -> Circumstances:
     return Circumstances(
         control=scenario.controller,
         driver_timeout_s=scenario.valve_driver.timeout_s,
-        late_s=_stated_delays_s(scenario),
+        late_s=math.inf if _overloaded(scenario) else _stated_delays_s(scenario),
         sight_s=math.inf if lies else sight_s(scenario),
         true_samples=not (scenario.temperature_fault or repeats)
         and {"off", "slow", "intermittent"}.issuperset(kinds),
@@ -56,6 +56,12 @@ def sight_s(scenario: Scenario) -> float:
 def _stated_delays_s(scenario: Scenario) -> float:
     """Return the longest delay in s that faults of the bus add to a frame."""
     return sum(f.delay_s + f.jitter_s for f in scenario.fault if isinstance(f, Delay))
+
+
+def _overloaded(scenario: Scenario) -> bool:
+    """Return whether foreign frames leave the bus less than half, so that others may wait for any time."""
+    loads = [scenario.bus.extra_load, *(f.load for f in scenario.fault if isinstance(f, Babbling))]
+    return sum(loads) > 0.5
 
 
 def controller_down_s(scenario: Scenario) -> list[tuple[float, float]]:

@@ -77,17 +77,10 @@ def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dic
     write_atomically(folder / "swarm.json", json.dumps(finite(result), indent=1) + "\n")
     pictures = {name: _picture(name, failure, folder) for name, failure in failures.items()}
     runs, count = result["runs"], len(failures)
-    head = Head(
-        command="swarm",
-        name="swarm",
-        verdict=counted(count, "failure") if count else "no rule broken",
-        good=not count,
-        tiles=[
-            (f"{runs:,}", "runs"),
-            (f"{len(taken)} of {len(possible)}", "transitions taken"),
-            (str(count), "failures"),
-        ],
-    )
+    share = f"{len(taken)} of {len(possible)}"
+    tiles = [(f"{runs:,}", "runs"), (share, "transitions taken"), (str(count), "failures")]
+    verdict = counted(count, "failure") if count else "no rule broken"
+    head = Head(command="swarm", name="swarm", verdict=verdict, good=not count, tiles=tiles)
     rows = [(name, failure, pictures[name]) for name, failure in failures.items()]
     page = render("swarm.html", head, failures=rows, transitions=result["transitions"], never=result["never_taken"])  # fmt: skip
     write_atomically(folder / "report.html", page)
