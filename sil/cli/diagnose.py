@@ -204,7 +204,8 @@ def run_logs(arguments: argparse.Namespace) -> int:
     stamps = [load_effects(file) for file in arguments.effects]
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
-    from sil.shift_diagnosis.page import as_json, diagnosed, write_files
+    from sil.inference.truck.diagnosis import diagnosed
+    from sil.inference.truck.page import as_json, write_files
 
     name = Path(arguments.campaign[0]).name.split(".")[0]
     logs, skipped = arguments.campaign, Counter[str]()

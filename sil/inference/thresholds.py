@@ -78,6 +78,16 @@ class Thresholds:
     """Prior odds of two causes at once against one."""
     min_noticeable_share: float = 0.5
     """Share of the catalogue that would be noticed at its typical size, for data that can tell."""
+    max_truck_noise: float = 1.1
+    """Factor on the noise of a truck's pulses up to which it explains what is left."""
+    max_truck_strain: float = 8.0
+    """Cost of a truck's own quantities up to which they are ordinary."""
+    min_healthy_probability: float = 0.5
+    """A truck is called healthy from here on, ..."""
+    max_healthy_probability: float = 0.01
+    """... and faulty below this."""
+    healthy_prior: float = 0.5
+    """Probability of a healthy truck before its log is read."""
 
     def unnamed_odds(self, share: float) -> float:
         """Return the odds of something without a name, by the share of the misfit that is left."""

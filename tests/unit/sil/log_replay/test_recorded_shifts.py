@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sil.shift_diagnosis.shifts import NO_BLOWS, RecordedShift, ShiftReader, shifts_of
 
 from can_dbc.codec import can_id_of
 from can_dbc.contract import DBC_PATH
@@ -18,7 +19,6 @@ from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames
 from sil.logs import open_log, open_writer
-from sil.shift_diagnosis.shifts import NO_BLOWS, RecordedShift, ShiftReader, shifts_of
 
 MAP = """
 [[signal]]

@@ -1,6 +1,6 @@
 """Commanded shifts of a log: commands as they reached the valves, pulses, speeds, supply.
 
-Checked by: tests/unit/sil/shift_diagnosis/test_shifts.py
+Checked by: tests/unit/sil/log_replay/test_recorded_shifts.py
 """
 
 from __future__ import annotations
@@ -49,11 +49,15 @@ NO_BLOWS: Final = 20
 """Commands without any SafetyBlow from which the log is taken as one without them."""
 NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
 MOST_PULSES: Final = 96
-FAILED: Final = "that did not reach the gear commanded"
-"""Why a failed shift is not compared; it is evidence all the same."""
-GIVEN_UP_S: Final = 0.5
+GIVEN_UP_S: Final = 0.35
 """Time after which a commanded gear that was not reached is a failed shift, not a change of mind."""
+AFTERWARDS_S: Final = 0.1
+"""A shift that failed is followed so long after its last command."""
+MOVED_M: Final = 3e-4
+"""Distance from which the stay has moved."""
 GEAR_NAMES: Final = {Gear.NEUTRAL: "N", Gear.BACKWARD: "B", Gear.FORWARD: "F"}
+CHAMBER_GEARS: Final = "BNF"
+"""Gears that the chambers push to, in their order."""
 FRAME_S: Final = 0.00026
 """Time of a pulse's frame on a bus of 500 kbit/s; another bit rate is part of the delay's prior."""
 AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
@@ -67,7 +71,7 @@ class RecordedShift:
     start, end: gears, N, B or F. commands: (time, chamber 0 to 2, duty). time_s, position_m: [n], the
     instants that the pulses measured, if nothing delays them, and the positions that they report.
     difference_rad_s: input minus output speed before the gear is engaged. supply_pa: absolute. Both
-    are NaN if the log has none. load_n: barrier of this shift less that of the truck's shifts.
+    are NaN if the log has none. failed: it did not reach the gear commanded, which is its `end` then.
     """
 
     source: str
@@ -79,7 +83,7 @@ class RecordedShift:
     position_m: Floats
     difference_rad_s: float
     supply_pa: float
-    load_n: float = 0.0
+    failed: bool = False
 
 
 @dataclass
@@ -225,22 +229,38 @@ class ShiftReader:
         gears = [self._gear(float(np.median(own))) for own in (before[-8:], position[-5:])]
         if len(before) < 3 or gears[0] is None:
             return "that do not begin in a gear"
-        moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > 3e-4)
+        start, end = gears
+        assert start is not None
+        pushed = [c for at, c, duty in episode.commands if duty >= self._duty_open]
+        wanted = [CHAMBER_GEARS[chamber] for chamber in pushed if CHAMBER_GEARS[chamber] != start]
+        moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > MOVED_M)
         first = max(int(np.searchsorted(measured_s, 0.0)), 1)
-        if gears[1] is None or self._gave_up(episode, origin_ns, measured_s, position):
-            return FAILED
-        if not len(moving) or moving[-1] < first:
+        still = end == start and not (len(moving) and moving[-1] >= first)
+        lasted_s = (episode.commands[-1][0] - episode.begin_ns) / _NS
+        failed = (
+            end is None
+            or self._gave_up(episode, origin_ns, measured_s, position)
+            or (end == start and bool(wanted) and lasted_s > GIVEN_UP_S)
+        )
+        if still and not failed:
             return "without motion"
-        last = min(int(moving[-1]) + 7, len(position), first + MOST_PULSES)
+        if failed:
+            end = wanted[-1] if wanted else start
+            off_s = (episode.commands[-1][0] - origin_ns) / _NS
+            last = int(np.searchsorted(measured_s, off_s + AFTERWARDS_S))
+        else:
+            last = int(moving[-1]) + 7 if len(moving) else 0
+        last = min(max(last, first + 12), len(position), first + MOST_PULSES)
+        assert end is not None
         used = slice(first, last)
         difference = 0.0
-        if gears[1] != "N":
+        if end != "N":
             difference = self._difference(episode, origin_ns, measured_s[used], position[used])
         return RecordedShift(
             self._source,
             episode.begin_ns / _NS,
-            gears[0],
-            gears[1],
+            start,
+            end,
             tuple(
                 ((at - origin_ns) / _NS, chamber, duty) for at, chamber, duty in episode.commands
             ),
@@ -248,6 +268,7 @@ class ShiftReader:
             position[used],
             difference,
             self._supply_pa,
+            failed,
         )
 
     def _gave_up(

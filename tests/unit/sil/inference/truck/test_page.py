@@ -9,14 +9,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-from sil.cli import main
-from sil.files.progress import Progress
 from sil.shift_diagnosis import page
 from sil.shift_diagnosis.linear import NOISE
 from sil.shift_diagnosis.model import catalogue
 from sil.shift_diagnosis.shifts import RecordedShift
 from sil.shift_diagnosis.verdict import Judged, ShiftDiagnosis, with_failures
+
+from sil.cli import main
+from sil.files.progress import Progress
 from tests.support.truck_logs import truck_log
 
 

@@ -1,0 +1,135 @@
+"""The shifts of one truck judged: read, searched, weighed, and what they would have shown.
+
+Checked by: tests/unit/sil/inference/truck/test_diagnosis.py
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.parameters import ParameterSet, load_actuator
+from sil.files.progress import Progress
+from sil.files.quantity import counted
+from sil.inference.fit import Show, no_progress
+from sil.inference.truck.causes import offered
+from sil.inference.truck.detectable import Detectable, detectable_of
+from sil.inference.truck.fit import FINE_M, Fit, Fitter
+from sil.inference.truck.search import Search, spread
+from sil.inference.truck.verdict import Hypothesis, Verdict, decide
+from sil.inference.workers import Stages
+from sil.j1939.mapping import SignalMapping
+from sil.log_replay.recorded_shifts import LEAD_S, RecordedShift, shifts_of
+
+MOST_SHIFTS: Final = 120
+"""Shifts that are judged; of more, as many spread evenly over the logs."""
+SEARCHED_SHIFTS: Final = 12
+"""Shifts that hypotheses are searched with; the best of them are fitted to all."""
+FEWEST_SHIFTS: Final = 3
+LEAST_NOISE_M: Final = 1.4e-5
+"""Standard deviation of a position by the timer's resolution alone."""
+
+
+@dataclass(frozen=True)
+class TruckDiagnosis:
+    """All that was found of the shifts of one truck; verdict, fitter: None of too few shifts."""
+
+    kind: str
+    shifts: tuple[RecordedShift, ...]
+    findings: tuple[str, ...]
+    noise_m: float = LEAST_NOISE_M
+    verdict: Verdict | None = None
+    fitters: dict[bool, Fitter] | None = None
+    detectable: tuple[Detectable, ...] = ()
+
+    @property
+    def failed(self) -> int:
+        """How many shifts did not reach their gear."""
+        return sum(shift.failed for shift in self.shifts)
+
+    def fitter(self, fit: Fit) -> Fitter:
+        """Return what a fit is one of."""
+        assert self.fitters is not None
+        return self.fitters[fit.mounted]
+
+    def chi2(self, item: Hypothesis) -> float:
+        """Return chi squared per number that a hypothesis leaves."""
+        fitter, fit = self.fitter(item.fit), item.fit
+        assert fit.position_m is not None
+        ratio = (fitter.position_m - fit.position_m) ** 2 / fitter.variance(FINE_M)
+        return float(ratio[fitter.model.recorded].mean())
+
+
+def diagnosed(
+    logs: Sequence[str],
+    model: str,
+    layout: tuple[str | None, str | None],
+    skipped: Counter[str],
+    progress: Progress,
+    workers: int = 1,
+) -> TruckDiagnosis:
+    """Read the shifts of one truck's logs and judge them; `skipped` counts those left out.
+
+    layout: mapping file and DBC of another layout.  Raises InputError for bad files.
+    """
+    parameters = load_actuator(model)
+    mapping = SignalMapping(*layout) if any(layout) else None
+    shifts: dict[tuple[object, ...], RecordedShift] = {}
+    broken: list[str] = []
+    read = set[str]()
+    for path in logs:
+        if (real := os.path.realpath(path)) in read:
+            raise InputError(f"{path}: given twice; expected each log once")
+        read.add(real)
+        faults: list[str] = []
+        for shift in shifts_of(path, parameters, mapping, skipped, faults):
+            what = shift.begin_s, shift.commands, shift.position_m.tobytes()
+            if shifts.setdefault(what, shift) is not shift:
+                skipped["that an earlier log holds, too,"] += 1
+        broken += [f"{path}: {fault}" for fault in faults]
+    return judge(list(shifts.values()), parameters, tuple(broken), progress, workers)
+
+
+def judge(
+    shifts: Sequence[RecordedShift],
+    parameters: ParameterSet,
+    broken: tuple[str, ...] = (),
+    show: Show = no_progress,
+    workers: int = 1,
+) -> TruckDiagnosis:
+    """Judge the shifts of one truck against the plant of a parameter set; broken: what is wrong in its logs."""
+    used = spread(shifts, MOST_SHIFTS)
+    failed = sum(shift.failed for shift in used)
+    if len(used) < FEWEST_SHIFTS and not failed:
+        text = f"{counted(len(used), 'usable shift')}; at least {FEWEST_SHIFTS} are needed to judge"
+        return TruckDiagnosis("cannot_tell", tuple(used), (text, *broken))
+    noise_m, causes = rest_noise_m(used), offered(used)
+    stages = Stages(show)
+    few = spread(used, SEARCHED_SHIFTS)
+    search = Search.of(few, parameters, noise_m, causes, workers)
+    fits = search.run(stages.until(80.0))
+    if len(used) > len(few):
+        search, fits = search.on_all(used, parameters, noise_m, fits)
+    verdict = decide(fits, causes, search.fitters, failed)
+    stages.until(90.0)
+    fit = verdict.healthy.fit
+    shown = detectable_of(search.fitters[fit.mounted], fit, causes, workers)
+    findings = (*verdict.findings, *broken)
+    return TruckDiagnosis(
+        verdict.kind, tuple(used), findings, noise_m, verdict, search.fitters, tuple(shown)
+    )
+
+
+def rest_noise_m(shifts: Sequence[RecordedShift]) -> float:
+    """Return the standard deviation of a position before the first motion, at least the timer's [m]."""
+    rests = [s.position_m[s.time_s < LEAD_S] for s in shifts]
+    own = [(r - np.mean(r)) ** 2 * len(r) / (len(r) - 1) for r in rests if len(r) > 1]
+    if not own:
+        return LEAST_NOISE_M
+    return float(max(LEAST_NOISE_M, np.sqrt(np.mean(np.concatenate(own)))))

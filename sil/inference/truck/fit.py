@@ -1,0 +1,429 @@
+"""Maximum a posteriori fit of one hypothesis to a truck's shifts, and its evidence.
+
+A position is off by noise of the pulses, of their instants where the stay moves, and now and then by
+much more: Student's t. Its scale is at least that of the noise and estimated by likelihood, at a price
+of log(factor) for each number. Each shift has quantities of its own, eliminated on its own; how much
+the loads differ from shift to shift is estimated by EM. Pulses have kinks by every quantity where the
+stay sticks and releases: steps are tried at several dampings at once, and before each stage random
+quantities of every shift; the best are taken.
+Source: Levenberg-Marquardt with Schur elimination, as in sil/inference/arrow.py; evidence by Laplace.
+Checked by: tests/unit/sil/inference/truck/test_fit.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from sil.inference.problem import Floats
+from sil.inference.truck.causes import Cause
+from sil.inference.truck.simulator import Bools, Ints, ShiftModel
+
+Rng = np.random.Generator
+
+TAIL: Final = 4.0
+"""Degrees of freedom of a position's error."""
+UNIT_TAIL: Final = 6.0
+"""Degrees of freedom of what differs between trucks: an unusual truck is no faulty one."""
+SIZE_SD: Final = 3.0
+"""Prior standard deviation of a cause's size, in typical ones."""
+FARTHEST_SD: Final = 8.0
+"""No quantity is tried farther out."""
+COARSE_M, MIDDLE_M, FINE_M = 1e-3, 1e-4, 1e-5
+"""Errors of the model that a stage allows for: first large, so that a fit finds its way."""
+INSTANT_S: Final = 7e-5
+"""Standard deviation of the instant of a pulse."""
+FIRST_FACTOR: Final = 4.0
+"""Factor of the noise at which the last stage begins."""
+FACTORS: Final[Floats] = np.exp(np.linspace(0.0, np.log(40.0), 80))
+SPREADS: Final = (0.02, 3.0)
+"""Limits of an estimated spread between shifts, by its usual value."""
+DAMPINGS: Final = (0.0, 0.01, 0.1, 1.0, 10.0)
+SHORT: Final = 0.4
+"""Share of an undamped step that is tried besides the whole one."""
+IMPOSSIBLE: Final = 1e6
+"""Cost of a shift that cannot be simulated."""
+STEEPEST_M: Final = 15e-3
+"""Derivative of a position by a standard deviation, at most: beyond, it is a jump."""
+PULSE_S: Final = 0.01
+FAR_SD: Final = 5.0
+"""Standard deviations of a position that noise hardly ever makes."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis with everything that it leaves free.
+
+    size: of the cause, in typical ones; unit [quantities], each [shifts, differing]: in standard
+    deviations; spread [differing]: estimated factors on those between shifts; noise_factor: on the
+    expected noise; cost: negative log posterior, per_shift [shifts] of it; position_m [shifts, pulses]:
+    predicted; size_sd, unit_sd [quantities]: standard deviations of both, from the information.
+    """
+
+    cause: Cause | None
+    size: float
+    unit: Floats
+    each: Floats
+    spread: Floats
+    noise_factor: float = 1.0
+    cost: float = np.inf
+    per_shift: Floats | None = None
+    position_m: Floats | None = None
+    evidence: float = -np.inf
+    size_sd: float = 0.0
+    unit_sd: Floats | None = None
+    mounted: bool = True
+
+    @property
+    def id(self) -> str:
+        """Identifier of its cause; healthy without one."""
+        return "healthy" if self.cause is None else self.cause.id
+
+    @property
+    def name(self) -> str:
+        """Its cause with the variant."""
+        return "healthy" if self.cause is None else self.cause.name
+
+
+class System(NamedTuple):
+    """Normal equations: blocks of the arrow and gradients, of the shared quantities and of each shift's."""
+
+    shared: Floats
+    shared_gradient: Floats
+    coupling: Floats
+    own: Floats
+    own_gradient: Floats
+
+    def step(self, damping: float) -> tuple[Floats, Floats]:
+        """Return the damped step of the shared quantities [shared] and of each shift's [shifts, differing]."""
+        diagonal = np.einsum("kii->ki", self.own)
+        inverse = np.linalg.inv(
+            self.own + damping * diagonal[:, :, None] * np.eye(len(self.own[0]))
+        )
+        reach = self.coupling @ inverse
+        normal = self.shared + damping * np.diag(np.diag(self.shared))
+        normal = normal - np.einsum("kpi,kqi->pq", reach, self.coupling)
+        gradient = self.shared_gradient - np.einsum("kpi,ki->p", reach, self.own_gradient)
+        moved = np.linalg.solve(normal, gradient)
+        rest = self.own_gradient - np.einsum("kpi,p->ki", self.coupling, moved)
+        return moved, np.einsum("kij,kj->ki", inverse, rest)
+
+    @property
+    def marginal(self) -> Floats:
+        """Information on the shared quantities, each shift's eliminated."""
+        reach = self.coupling @ np.linalg.inv(self.own)
+        out: Floats = self.shared - np.einsum("kpi,kqi->pq", reach, self.coupling)
+        return out
+
+
+class Fitter:
+    """Fits hypotheses to recorded shifts; fixed: the size is not moved."""
+
+    def __init__(self, model: ShiftModel, noise_m: float) -> None:
+        self.model, self.noise_m = model, noise_m
+        self.layout = model.layout
+        self.position_m = model.position_m
+        self.count = int(model.recorded.sum())
+        self.mask: Bools = model.acts[:, self.layout.differing]
+        speed = np.abs(np.gradient(self.position_m, axis=1)) / PULSE_S
+        beside = np.maximum(np.roll(speed, 1, 1), np.roll(speed, -1, 1))
+        self.speed_m_s: Floats = np.maximum(speed, 0.5 * beside)
+
+    # --- costs
+
+    def variance(self, error_m: float, factor: float = 1.0) -> Floats:
+        """Return the squared scale [shifts, pulses] of a position's error in m^2; error_m: that of the model."""
+        instant_s = INSTANT_S * max(1.0, error_m / FINE_M) ** 0.5
+        noise = self.noise_m**2 + error_m**2 + (instant_s * self.speed_m_s) ** 2
+        return np.asarray(factor**2 * noise)
+
+    def _misfit(self, x: Floats, done: Bools, which: Ints, variance: Floats) -> Floats:
+        """Return the cost [n] of predicted positions [n, pulses] by Student's t."""
+        ratio = (self.position_m[which] - x) ** 2 / variance[which]
+        tail = 0.5 * (TAIL + 1.0) * np.log1p(ratio / TAIL)
+        cost = np.where(self.model.recorded[which], tail, 0.0).sum(axis=1)
+        return np.where(done & np.isfinite(cost), cost, IMPOSSIBLE)
+
+    def prior_cost(self, fit: Fit) -> float:
+        """Return the cost of the priors of a fit."""
+        return self.unit_cost(fit.unit, fit.size) + float(_own_cost(fit.each, fit.spread).sum())
+
+    @staticmethod
+    def unit_cost(unit: Floats, size: float = 0.0) -> float:
+        """Return the cost of the truck's quantities [quantities] and a cause's size."""
+        tails = 0.5 * (UNIT_TAIL + 1.0) * np.log1p(unit**2 / UNIT_TAIL)
+        return float(tails.sum() + 0.5 * (size / SIZE_SD) ** 2)
+
+    def factor_of(self, x: Floats) -> float:
+        """Return the likeliest factor of the noise that leaves positions [shifts, pulses]."""
+        ratio = ((self.position_m - x) ** 2 / self.variance(FINE_M))[self.model.recorded]
+        scaled = np.minimum(ratio, 1e8)[:, None] / FACTORS**2 / TAIL
+        cost = self.count * np.log(FACTORS) + 0.5 * (TAIL + 1.0) * np.log1p(scaled).sum(axis=0)
+        return float(FACTORS[int(np.argmin(cost))])
+
+    def deviating(self, fit: Fit) -> int:
+        """Return in how many shifts a position is farther off than noise makes it."""
+        assert fit.position_m is not None
+        off = np.abs(self.position_m - fit.position_m) > FAR_SD * np.sqrt(self.variance(FINE_M))
+        return int((off & self.model.recorded).any(axis=1).sum())
+
+    def start(self, cause: Cause | None = None, size: float = 0.0) -> Fit:
+        """Return a usual truck."""
+        each = np.zeros((len(self.model), len(self.layout.differing)))
+        spread = np.ones(len(self.layout.differing))
+        unit = np.zeros(len(self.layout))
+        return Fit(cause, size, unit, each, spread, mounted=self.model.mounted)
+
+    def evaluated(self, fit: Fit, error_m: float) -> Fit:
+        """Return a fit with its predictions and cost at an error of the model."""
+        which = np.arange(len(self.model))
+        x, done = self.model.positions(
+            which, self.layout.amounts(fit.unit, fit.each), fit.cause, fit.size
+        )
+        per_shift = self._misfit(x, done, which, self._variance_of(fit, error_m))
+        cost = float(per_shift.sum()) + self.prior_cost(fit)
+        return replace(fit, position_m=x, per_shift=per_shift, cost=cost)
+
+    def _variance_of(self, fit: Fit, error_m: float) -> Floats:
+        return self.variance(error_m, fit.noise_factor if error_m == FINE_M else 1.0)
+
+    # --- derivatives
+
+    def _steps(self, share: float) -> Floats:
+        """Return the steps [quantities] of a difference, in their units."""
+        sd, columns = self.layout.unit_sd.copy(), self.layout.differing
+        sd[columns] = np.minimum(sd[columns], self.layout.shift_sd)
+        return share * sd
+
+    def derivatives(self, fit: Fit, share: float, sides: tuple[float, ...]) -> Floats:
+        """Return the derivatives [shifts, pulses, quantities + 1] of positions by standard deviations and size."""
+        assert fit.position_m is not None
+        model, layout = self.model, self.layout
+        steps, n = self._steps(share), len(model)
+        amounts = layout.amounts(fit.unit, fit.each)
+        rows, moved, sizes = [], [], []
+        places: list[tuple[int, Ints, float]] = []
+        for column, item in enumerate(layout.own):
+            own = np.flatnonzero(model.acts[:, column])
+            if item.acts == "report" or not len(own):
+                continue
+            for side in sides:
+                there = amounts[own].copy()
+                there[:, column] += side * steps[column]
+                rows.append(own)
+                moved.append(there)
+                sizes.append(np.full(len(own), fit.size))
+                by = side * steps[column] / layout.unit_sd[column]
+                places.append((column, own, by))
+        if fit.cause is not None:
+            for side in sides:
+                size = fit.cause.clipped(fit.size + side * share)
+                if size == fit.size:
+                    size = fit.cause.clipped(fit.size - side * share)
+                rows.append(np.arange(n))
+                moved.append(amounts)
+                sizes.append(np.full(n, size))
+                places.append((len(layout), np.arange(n), size - fit.size))
+        x, done = model.positions(
+            np.concatenate(rows), np.concatenate(moved), fit.cause, np.concatenate(sizes)
+        )
+        out = np.zeros((n, x.shape[1], len(layout) + 1))
+        first = 0
+        for column, own, by in places:
+            last = first + len(own)
+            change = (x[first:last] - fit.position_m[own]) / by
+            change[~done[first:last]] = 0.0
+            out[own, :, column] += np.nan_to_num(change) / len(sides)
+            first = last
+        out[:, :, layout.at["offset"]] = layout.unit_sd[layout.at["offset"]]
+        out[:, :, layout.at["gain"]] = fit.position_m * layout.unit_sd[layout.at["gain"]]
+        return out
+
+    def own_derivatives(self, derivatives: Floats) -> Floats:
+        """Return those by each shift's quantities, of all derivatives."""
+        columns = self.layout.differing
+        scale = self.layout.shift_sd / self.layout.unit_sd[columns]
+        out: Floats = derivatives[:, :, columns] * scale * self.mask[:, None, :]
+        return out
+
+    def weighted_residual(
+        self, fit: Fit, variance: Floats, expected: bool = False
+    ) -> tuple[Floats, Floats]:
+        """Return recorded less predicted positions [shifts, pulses] in m, and their weights in 1/m^2."""
+        assert fit.position_m is not None
+        rest = np.where(self.model.recorded, np.nan_to_num(self.position_m - fit.position_m), 0.0)
+        ratio = 3.0 if expected else rest**2 / variance
+        weight = np.where(self.model.recorded, (TAIL + 1.0) / (TAIL + ratio) / variance, 0.0)
+        return rest, weight
+
+    def system(
+        self, fit: Fit, derivatives: Floats, variance: Floats, expected: bool = False
+    ) -> System:
+        """Return the normal equations; expected: with the information that errors have on average."""
+        shared = len(self.layout) + (fit.cause is not None)
+        rest, weight = self.weighted_residual(fit, variance, expected)
+        by_unit, by_own = derivatives[:, :, :shared], self.own_derivatives(derivatives)
+        weighted, weighted_own = by_unit * weight[..., None], by_own * weight[..., None]
+        size_prior = 1.0 / SIZE_SD**2
+        prior = np.append((UNIT_TAIL + 1.0) / (UNIT_TAIL + fit.unit**2), size_prior)[:shared]
+        value = np.append(fit.unit, fit.size)[:shared]
+        turned = np.swapaxes
+        return System(
+            (turned(weighted, 1, 2) @ by_unit).sum(axis=0) + np.diag(prior),
+            np.einsum("ktp,kt->p", weighted, rest) - prior * value,
+            turned(weighted, 1, 2) @ by_own,
+            turned(weighted_own, 1, 2) @ by_own + np.diag(1.0 / fit.spread**2),
+            np.einsum("ktp,kt->kp", weighted_own, rest) - fit.each / fit.spread**2,
+        )
+
+    # --- fits
+
+    def improved(
+        self, fit: Fit, error_m: float, rounds: int, least: float = 0.3, fixed: bool = False
+    ) -> Fit:
+        """Return a fit after at most so many rounds of steps that each gain `least`; fixed: its size is kept."""
+        variance = self._variance_of(fit, error_m)
+        fit = self.evaluated(fit, error_m)
+        stuck = False
+        which = np.arange(len(self.model))
+        for turn in range(rounds):
+            side = (1.0, -1.0)[turn % 2]
+            derivatives = self.derivatives(fit, 0.4 if stuck else 0.1, (side,))
+            system = self.system(fit, derivatives, variance)
+            if fixed and fit.cause is not None:
+                system.shared[-1, -1], system.shared_gradient[-1] = 1e15, 0.0
+            trials = []
+            for damping in DAMPINGS:
+                moved, own = system.step(damping)
+                shares = (1.0, SHORT) if damping == 0.0 else (1.0,)
+                trials += [self._moved(fit, share * moved, share * own) for share in shares]
+            x, done = self.model.positions(
+                np.tile(which, len(trials)),
+                np.concatenate([self.layout.amounts(t.unit, t.each) for t in trials]),
+                fit.cause,
+                np.repeat([t.size for t in trials], len(which)),
+            )
+            per_shift = self._misfit(x, done, np.tile(which, len(trials)), variance)
+            per_shift = per_shift.reshape(len(trials), -1)
+            costs = [
+                float(own.sum()) + self.prior_cost(t)
+                for own, t in zip(per_shift, trials, strict=True)
+            ]
+            best = int(np.argmin(costs))
+            if costs[best] < fit.cost - least:
+                own_x = x.reshape(len(trials), len(which), -1)[best]
+                fit = replace(
+                    trials[best], cost=costs[best], position_m=own_x, per_shift=per_shift[best]
+                )
+                stuck = False
+            elif stuck:
+                break
+            else:
+                stuck = True
+        return fit
+
+    def _moved(self, fit: Fit, shared: Floats, own: Floats) -> Fit:
+        """Return a fit after a step, within the limits."""
+        units = len(self.layout)
+        unit = np.clip(fit.unit + shared[:units], -FARTHEST_SD, FARTHEST_SD)
+        each = np.clip(fit.each + own, -FARTHEST_SD, FARTHEST_SD) * self.mask
+        size = fit.size if fit.cause is None else fit.cause.clipped(fit.size + shared[units])
+        return replace(fit, unit=unit, each=each, size=size)
+
+    def rescanned(self, fit: Fit, error_m: float, rng: Rng, number: int = 48) -> Fit:
+        """Return a fit with the best of random quantities for each shift: half of them near, half by the prior."""
+        fit = self.evaluated(fit, error_m)
+        n, own = fit.each.shape
+        anywhere = rng.random((n, number, 1)) < 0.5
+        near = rng.choice([0.1, 0.3], (n, number, 1))
+        width = np.where(anywhere, np.maximum(fit.spread, 0.7), near * np.maximum(fit.spread, 0.2))
+        centre = np.where(anywhere, 0.0, fit.each[:, None, :])
+        there = centre + width * rng.normal(size=(n, number, own)) * self.mask[:, None, :]
+        there = np.where(rng.random((n, number, own)) < 0.5, fit.each[:, None, :], there)
+        there[:, 0] = fit.each
+        which = np.repeat(np.arange(n), number)
+        amounts = self.layout.amounts(fit.unit, there.reshape(-1, own))
+        x, done = self.model.positions(which, amounts, fit.cause, fit.size)
+        variance = self._variance_of(fit, error_m)
+        per_shift = self._misfit(x, done, which, variance).reshape(n, number)
+        total = per_shift + _own_cost(there, fit.spread)
+        best, rows = np.argmin(total, axis=1), np.arange(n)
+        return replace(
+            fit,
+            each=there[rows, best],
+            position_m=x.reshape(n, number, -1)[rows, best],
+            per_shift=per_shift[rows, best],
+            cost=float(total[rows, best].sum()) + self.unit_cost(fit.unit, fit.size),
+        )
+
+    def _with_scales(self, fit: Fit) -> Fit:
+        """Return a fit with the scales of its loads (EM) and of the noise (likelihood)."""
+        assert fit.position_m is not None
+        system = self.system(
+            fit, self.derivatives(fit, 0.1, (1.0,)), self._variance_of(fit, FINE_M)
+        )
+        variance = np.einsum("kii->ki", np.linalg.inv(system.own))
+        spread = fit.spread.copy()
+        for column in np.flatnonzero(self.layout.is_load):
+            acts = self.mask[:, column]
+            if acts.sum() >= 2:
+                square = fit.each[acts, column] ** 2 + variance[acts, column]
+                spread[column] = np.clip(np.sqrt(square.mean()), *SPREADS)
+        fit = replace(fit, spread=spread, noise_factor=self.factor_of(fit.position_m))
+        return self.evaluated(fit, FINE_M)
+
+    def finished(self, fit: Fit, rng: Rng, times: int = 3, fixed: bool = False) -> Fit:
+        """Return a fit of the last stage, with its scales and evidence."""
+        for turn in range(times):
+            fit = self._with_scales(fit)
+            if turn < times - 1:
+                fit = self.rescanned(fit, FINE_M, rng)
+            fit = self.improved(fit, FINE_M, 8, fixed=fixed)
+        return self.with_evidence(fit)
+
+    def with_evidence(self, fit: Fit) -> Fit:
+        """Return a fit with its log evidence (Laplace) and the standard deviation of its size."""
+        fit = self.evaluated(fit, FINE_M)
+        slopes = np.clip(self.derivatives(fit, 0.3, (1.0, -1.0)), -STEEPEST_M, STEEPEST_M)
+        system = self.system(fit, slopes, self._variance_of(fit, FINE_M), expected=True)
+        marginal = system.marginal
+        volume = np.linalg.slogdet(system.own)[1].sum() + np.linalg.slogdet(marginal)[1]
+        norm = self.count * np.log(fit.noise_factor) + 0.5 * volume
+        norm += float((self.mask * np.log(fit.spread)).sum())
+        sd = np.sqrt(np.diag(np.linalg.inv(marginal)))
+        size_sd = 0.0
+        if fit.cause is not None:
+            norm += np.log(SIZE_SD) - (np.log(2.0) if fit.cause.sign else 0.0)
+            size_sd = float(sd[-1])
+        evidence = -(fit.cost + float(norm))
+        return replace(fit, evidence=evidence, size_sd=size_sd, unit_sd=sd[: len(self.layout)])
+
+    def profile(self, fit: Fit) -> tuple[float, float]:
+        """Return the 95 % interval of the size: where the cost, refitted at other sizes, has risen by 2."""
+        assert fit.cause is not None
+        ends = []
+        for sign in (-1.0, 1.0):
+            step = max(fit.size_sd, 1e-3 * abs(fit.size), 1e-3)
+            moved, last = fit, (fit.size, 0.0)
+            for doubling in range(9):
+                size = fit.cause.clipped(fit.size + sign * step * 2.0**doubling)
+                if fit.size * size < 0.0:
+                    size = 0.0
+                moved = self.improved(replace(moved, size=size), FINE_M, 6, least=0.1, fixed=True)
+                rise = moved.cost - fit.cost - 0.5 * (size**2 - fit.size**2) / SIZE_SD**2
+                if rise > 2.0:
+                    share = (2.0 - last[1]) / max(rise - last[1], 1e-9)
+                    last = (last[0] + (size - last[0]) * share, 2.0)
+                    break
+                last = (size, max(rise, 0.0))
+                if size in (0.0, *fit.cause.bounds):
+                    break
+            ends.append(last[0])
+        return min(ends), max(ends)
+
+
+def _own_cost(each: Floats, spread: Floats) -> Floats:
+    """Return the cost [...] of shifts' quantities [..., differing] at their spread."""
+    return np.asarray(0.5 * ((each / spread) ** 2).sum(axis=-1))

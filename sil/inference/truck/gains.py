@@ -1,0 +1,106 @@
+"""What each cause would gain beside a fitted truck, by secants with all else free.
+
+Checked by: tests/unit/sil/inference/truck/test_gains.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sil.inference.problem import Floats
+from sil.inference.truck.causes import Cause
+from sil.inference.truck.fit import FINE_M, SIZE_SD, STEEPEST_M, Fit, Fitter
+
+SIZES: Final = (0.4, 3.0)
+"""Typical sizes at which secants are taken."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A fit of which everything free is eliminated from whatever else acts.
+
+    weighted_unit, weighted_own [shifts, pulses, ...]: derivatives by the weight of each pulse; weight,
+    residual [shifts, pulses]; inverse [shifts, differing, differing]: of each shift's information; coupling
+    [shifts, shared, differing], own_gradient [shifts, differing], marginal [shared, shared].
+    """
+
+    weight: Floats
+    residual: Floats
+    weighted_unit: Floats
+    weighted_own: Floats
+    inverse: Floats
+    coupling: Floats
+    own_gradient: Floats
+    marginal: Floats
+
+    @classmethod
+    def of(cls, fitter: Fitter, fit: Fit) -> Beside:
+        """Linearise a fit by central differences."""
+        slopes = np.clip(fitter.derivatives(fit, 0.3, (1.0, -1.0)), -STEEPEST_M, STEEPEST_M)
+        variance = fitter.variance(FINE_M, fit.noise_factor)
+        residual, weight = fitter.weighted_residual(fit, variance)
+        system = fitter.system(fit, slopes, variance)
+        shared = len(fitter.layout) + (fit.cause is not None)
+        own = fitter.own_derivatives(slopes)
+        return cls(
+            weight,
+            residual,
+            slopes[:, :, :shared] * weight[..., None],
+            own * weight[..., None],
+            np.asarray(np.linalg.inv(system.own), dtype=np.float64),
+            system.coupling,
+            system.own_gradient,
+            system.marginal,
+        )
+
+    def information(self, slopes: Floats) -> tuple[Floats, Floats]:
+        """Return information [n, n] and gradient [n] of what moves positions by `slopes` [n, shifts, pulses].
+
+        Everything free is marginalised; a typical size is the unit.
+        """
+        own = np.einsum("nkt,ktq->nkq", slopes, self.weighted_own)
+        through = np.einsum("nkq,kqj->nkj", own, self.inverse)
+        unit = np.einsum("nkt,ktp->np", slopes, self.weighted_unit)
+        unit = unit - np.einsum("nkj,kpj->np", through, self.coupling)
+        flat, weight = slopes.reshape(len(slopes), -1), self.weight.ravel()
+        alone = (flat * weight) @ flat.T - np.einsum("nkq,mkq->nm", through, own)
+        hidden = unit @ np.linalg.solve(self.marginal, unit.T)
+        gradient = flat @ (weight * self.residual.ravel())
+        gradient -= np.einsum("nkj,kj->n", through, self.own_gradient)
+        return np.asarray(alone - hidden), np.asarray(gradient)
+
+
+def gains_of(fitter: Fitter, fit: Fit, causes: Sequence[Cause]) -> list[tuple[float, float]]:
+    """Return of every cause the log evidence that it would gain, and its size in typical ones."""
+    beside = Beside.of(fitter, fit)
+    gains = []
+    for cause in causes:
+        best = (0.0, 0.0)
+        sizes = cause.sizes(*SIZES)
+        matrix, gradients = beside.information(secants(fitter, fit, cause, sizes))
+        for size, own, gradient in zip(sizes, np.diag(matrix), gradients.tolist(), strict=True):
+            there = gradient / (max(float(own), 0.0) + 1.0 / SIZE_SD**2)
+            if there * size > 0.0:
+                best = max(best, (0.5 * gradient * there, there))
+        gains.append(best)
+    return gains
+
+
+def secants(fitter: Fitter, fit: Fit, cause: Cause, sizes: Sequence[float]) -> Floats:
+    """Return by how much positions [sizes, shifts, pulses] move by a cause of sizes, for one typical size."""
+    assert fit.position_m is not None
+    n = len(fitter.model)
+    amounts = fitter.layout.amounts(fit.unit, fit.each)
+    x, done = fitter.model.positions(
+        np.tile(np.arange(n), len(sizes)),
+        np.tile(amounts, (len(sizes), 1)),
+        cause,
+        np.repeat(sizes, n),
+    )
+    x = np.where(done[:, None], np.nan_to_num(x), np.tile(fit.position_m, (len(sizes), 1)))
+    slopes = (x.reshape(len(sizes), n, -1) - fit.position_m) / np.array(sizes)[:, None, None]
+    return np.asarray(np.clip(slopes, -STEEPEST_M, STEEPEST_M))

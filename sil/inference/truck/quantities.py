@@ -1,0 +1,89 @@
+"""In what healthy trucks differ, and the shifts of one truck: quantities with their priors.
+
+Those of the actuator have the parameter set's tolerances; gearbox, teeth, cone, supply and the way of a
+pulse to the log are unknown within wider limits. How much the loads of the gearbox differ from shift to
+shift is a parameter itself.
+Checked by: tests/unit/sil/inference/truck/test_simulator.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plant.parameters import ParameterSet
+from sil.inference.problem import Floats
+
+MESH_N, PULL_N = 600.0, 300.0
+"""Usual barriers of the teeth into and out of gear."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of the truck, as a deviation from the usual one; factors in logarithms.
+
+    unit_sd, shift_sd: standard deviations between trucks, and between shifts of one (0: none), in its
+    unit; is_load: the latter is only where its own estimation begins; acts: on which shifts.
+    """
+
+    name: str
+    label: str
+    unit: str
+    unit_sd: float
+    shift_sd: float = 0.0
+    is_load: bool = False
+    acts: str = "always"
+
+
+def quantities(parameters: ParameterSet, supply_is_known: bool) -> tuple[Quantity, ...]:
+    """Return the quantities of a truck with the actuator of a parameter set."""
+    value = parameters.value
+    delay = value("repeatability.unit_valve_delay_sd")
+    flow, volume = (value(f"repeatability.unit_{name}_sd") for name in ("flow", "volume"))
+    friction, jitter = (value(f"repeatability.{n}_sd") for n in ("friction", "valve_delay"))
+    supply, each_supply = (0.02, 0.02) if supply_is_known else (0.08, 0.06)
+    unit_friction = value("repeatability.unit_friction_sd")
+    return (
+        Quantity("friction", "friction of stay and pistons", "-", unit_friction, friction),
+        Quantity("rise", "opening delay", "s", delay, jitter),
+        Quantity("fall", "closing delay", "s", 3.0 * delay, jitter),
+        Quantity("flow_in", "charge flow", "-", flow),
+        Quantity("flow_out", "discharge flow", "-", flow),
+        Quantity("volume_a", "volume of chambers B, F", "-", volume),
+        Quantity("volume_b", "volume of chamber N", "-", volume),
+        Quantity("supply", "supply pressure", "-", supply, each_supply, True),
+        Quantity("linkage", "friction of the linkage", "-", 0.3, acts="mounted"),
+        Quantity("mass", "mass of the gearbox", "-", 0.2, acts="mounted"),
+        Quantity("mesh", "barrier into gear", "N", 500.0, 300.0, True, "into gear"),
+        Quantity("pull", "barrier out of gear", "N", 400.0, 300.0, True, "out of gear"),
+        Quantity("cone", "impulse per speed difference", "-", 1.0, 0.5, True, "into gear"),
+        Quantity("latency", "way of a pulse to the log", "s", 3e-4, 1e-4),
+        Quantity("offset", "offset of the position", "m", 1e-4, acts="report"),
+        Quantity("gain", "gain of the position", "-", 0.005, acts="report"),
+    )
+
+
+class Layout:
+    """Quantities as columns of arrays.
+
+    at: column by name; unit_sd [quantities], shift_sd [differing]; differing: columns of the quantities
+    that differ between shifts; is_load: which of these have an estimated standard deviation.
+    """
+
+    def __init__(self, own: tuple[Quantity, ...]) -> None:
+        self.own = own
+        self.at = {item.name: k for k, item in enumerate(own)}
+        self.unit_sd: Floats = np.array([item.unit_sd for item in own])
+        self.differing = np.array([k for k, item in enumerate(own) if item.shift_sd > 0.0])
+        self.shift_sd: Floats = np.array([own[k].shift_sd for k in self.differing])
+        self.is_load = np.array([own[k].is_load for k in self.differing])
+
+    def __len__(self) -> int:
+        return len(self.own)
+
+    def amounts(self, unit: Floats, each: Floats) -> Floats:
+        """Return deviations [shifts, quantities] in their units, of those [quantities] and [shifts, differing] in standard deviations."""
+        out = np.repeat((unit * self.unit_sd)[None], len(each), axis=0)
+        out[:, self.differing] += each * self.shift_sd
+        return out

@@ -1,0 +1,276 @@
+"""Hypotheses fitted to a truck's shifts: a healthy truck, each cause, with and without a gearbox.
+
+A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What
+each cause would gain beside it, by secants with all else free, picks those fitted near it; unless a
+healthy truck explains the shifts, every cause is also fitted coarsely in a usual truck, at several sizes.
+The best are fitted again from other random quantities, healthy from where they are, and the leading
+causes in other variants, at other sizes and on the other mounting.
+Checked by: tests/unit/sil/inference/truck/test_search.py
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from plant.parameters import ParameterSet
+from sil.inference.fit import Show, no_progress
+from sil.inference.thresholds import LIMITS
+from sil.inference.truck.causes import Cause
+from sil.inference.truck.fit import (
+    COARSE_M,
+    FINE_M,
+    FIRST_FACTOR,
+    MIDDLE_M,
+    Fit,
+    Fitter,
+)
+from sil.inference.truck.gains import gains_of
+from sil.inference.truck.simulator import ShiftModel
+from sil.inference.workers import Stages, spread_out
+from sil.log_replay.recorded_shifts import RecordedShift
+
+FIRST_SHIFTS: Final = 6
+SUPPLIES: Final = (0.0, -0.18, -0.09, 0.09)
+"""Deviations of the supply pressure at which a healthy truck is fitted first, ..."""
+KNOWN_SUPPLIES: Final = (0.0, 0.02)
+"""... and where the log states it."""
+FIRST_SIZES: Final = (1.5, 8.0)
+LATER_SIZES: Final = (0.6, 0.8, 1.2, 1.5)
+"""Factors on the leading cause's size that are tried."""
+MOST_VARIANTS: Final = 2
+"""Variants of an effect that a first look takes."""
+NEAR, NEAR_FITTED, WIDE_FITTED, LEADING = 14, 6, 8, 3
+"""Causes fitted near the healthy truck and, of these and of those in a usual truck, fitted in full."""
+HOPELESS: Final = 12.0
+"""Cost behind the best of its kind from which a coarse fit is not continued."""
+CONTESTING, CONTEST = 3, 25.0
+"""Causes that are fitted at other sizes, and log evidence behind the first within which they are."""
+LEAST_GAIN: Final = 1.5
+"""Log evidence that a cause gains at least, by secants, to be fitted."""
+
+
+@dataclass
+class Search:
+    """Fitters by whether a gearbox is mounted, those of a first look, and the causes offered.
+
+    first: shifts that a first look takes.
+    """
+
+    fitters: dict[bool, Fitter]
+    coarse: dict[bool, Fitter]
+    first: list[int]
+    causes: Sequence[Cause]
+    workers: int = 1
+
+    @classmethod
+    def of(
+        cls,
+        shifts: Sequence[RecordedShift],
+        parameters: ParameterSet,
+        noise_m: float,
+        causes: Sequence[Cause],
+        workers: int = 1,
+    ) -> Search:
+        """Return the search over the shifts of one truck."""
+        few = spread(shifts, FIRST_SHIFTS)
+        first = [k for k, shift in enumerate(shifts) if any(shift is own for own in few)]
+
+        def fitters(own: Sequence[RecordedShift]) -> dict[bool, Fitter]:
+            models = {mounted: ShiftModel(own, parameters, mounted) for mounted in (True, False)}
+            return {mounted: Fitter(model, noise_m) for mounted, model in models.items()}
+
+        return cls(fitters(shifts), fitters(few), first, causes, workers)
+
+    def run(self, show: Show = no_progress) -> list[Fit]:
+        """Return all hypotheses that were fitted in full, the healthy ones among them."""
+        stages = Stages(show)
+        supplies = SUPPLIES if self._supply_varies() else KNOWN_SUPPLIES
+        starts = [(True, supply) for supply in supplies] + [(False, 0.0)]
+        fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
+        fits.sort(key=lambda fit: -fit.evidence)
+        healthy = fits[0]
+        gains = gains_of(self.fitters[healthy.mounted], healthy, self.causes)
+        near = self._near(healthy, gains, stages)
+        wide: list[Fit] = []
+        if not self.is_explained(healthy):
+            mountings = dict.fromkeys((True, healthy.mounted))
+            jobs = [
+                (mounted, cause, size, seed)
+                for mounted in mountings
+                for cause in self._first_look()
+                for seed, size in enumerate(cause.sizes(*self._first_sizes(cause)))
+            ]
+            wide = spread_out(self._coarse, jobs, self.workers, stages.until(50.0))
+        if not near and not wide:
+            return fits
+        chosen = [(fit, 5) for fit in _best_of(near, NEAR_FITTED) + _best_of(wide, WIDE_FITTED)]
+        full = spread_out(self._full, chosen, self.workers, stages.until(75.0))
+        full.sort(key=lambda fit: -fit.evidence)
+        again = self._challengers(full)
+        full += spread_out(self._full, again, self.workers, stages.until(85.0))
+        full.sort(key=lambda fit: -fit.evidence)
+        if full[0].cause is not None and full[0].evidence > healthy.evidence + 3.0:
+            contesting = _best_of(full, CONTESTING, lambda fit: -fit.evidence, CONTEST)
+            sizes = [(f, factor) for f in contesting if f.cause for factor in LATER_SIZES]
+            full += spread_out(self._at_size, sizes, self.workers, stages.until(95.0))
+        return fits + full
+
+    def on_all(
+        self,
+        shifts: Sequence[RecordedShift],
+        parameters: ParameterSet,
+        noise_m: float,
+        fits: Sequence[Fit],
+        show: Show = no_progress,
+    ) -> tuple[Search, list[Fit]]:
+        """Return the leading hypotheses of these fits, fitted to more shifts of the same truck."""
+        whole = Search.of(shifts, parameters, noise_m, self.causes, self.workers)
+        best: dict[str, Fit] = {}
+        for fit in sorted(fits, key=lambda fit: -fit.evidence):
+            best.setdefault(fit.id, fit)
+        kept = list(best.values())[:LEADING]
+        if all(fit.cause is not None for fit in kept):
+            kept.append(best["healthy"])
+        usual = whole.fitters[True].start()
+        jobs = [(replace(fit, each=usual.each), 5) for fit in kept]
+        return whole, spread_out(whole._full, jobs, self.workers, show)
+
+    def is_explained(self, fit: Fit) -> bool:
+        """Return whether noise explains what a healthy truck leaves, with ordinary quantities."""
+        fitter = self.fitters[fit.mounted]
+        is_noise = fit.noise_factor <= LIMITS.max_truck_noise and not fitter.deviating(fit)
+        return is_noise and fitter.unit_cost(fit.unit) <= LIMITS.max_truck_strain
+
+    def _supply_varies(self) -> bool:
+        layout = self.fitters[True].layout
+        return bool(layout.unit_sd[layout.at["supply"]] > 0.05)
+
+    def _first_look(self) -> list[Cause]:
+        """Return the causes that are fitted coarsely: of each effect the first variants, one in each place."""
+        taken: list[Cause] = []
+        number = Counter[str]()
+        for cause in self.causes:
+            most = len(self.causes) if len(cause.others) > 1 else MOST_VARIANTS
+            if number[cause.id] < most:
+                number[cause.id] += 1
+                taken.append(cause)
+        return taken
+
+    @staticmethod
+    def _first_sizes(cause: Cause) -> tuple[float, ...]:
+        first, second = FIRST_SIZES
+        return (first, second) if cause.sign else (first, 2.5 * first)
+
+    def _healthy(self, start: tuple[bool, float]) -> Fit:
+        """Fit a healthy truck, at first at another supply."""
+        mounted, supply = start
+        fitter = self.fitters[mounted]
+        rng = np.random.default_rng(1)
+        fit = fitter.start()
+        if supply == 0.0:
+            for error_m, rounds, scans in ((COARSE_M, 6, 2), (MIDDLE_M, 8, 2)):
+                for _ in range(scans):
+                    fit = fitter.improved(fitter.rescanned(fit, error_m, rng), error_m, rounds)
+        else:
+            column = fitter.layout.at["supply"]
+            fit.unit[column] = supply / fitter.layout.unit_sd[column]
+            fit = fitter.rescanned(fit, COARSE_M, rng, 200)
+            fit = fitter.improved(fit, MIDDLE_M, 8)
+        fit = replace(fit, noise_factor=FIRST_FACTOR)
+        fit = fitter.rescanned(fit, FINE_M, rng)
+        return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
+
+    def _near(
+        self, healthy: Fit, gains: Sequence[tuple[float, float]], stages: Stages
+    ) -> list[Fit]:
+        """Fit the causes that gain most beside the healthy truck, from there."""
+        order = sorted(range(len(gains)), key=lambda k: -gains[k][0])[:NEAR]
+        jobs = [(healthy, self.causes[k], gains[k][1]) for k in order if gains[k][0] > LEAST_GAIN]
+        fits = spread_out(self._beside, jobs, self.workers, stages.until(25.0))
+        if self.is_explained(healthy):
+            fits = [fit for fit in fits if fit.cost < healthy.cost - 2.0]
+        return fits
+
+    def _beside(self, job: tuple[Fit, Cause, float]) -> Fit:
+        healthy, cause, size = job
+        fit = replace(healthy, cause=cause, size=0.3 * size)
+        return self.fitters[fit.mounted].improved(fit, FINE_M, 5, least=0.5)
+
+    def _coarse(self, job: tuple[bool, Cause, float, int]) -> Fit:
+        mounted, cause, size, seed = job
+        fitter, rng = self.coarse[mounted], np.random.default_rng(seed)
+        fit = fitter.rescanned(fitter.start(cause, size), COARSE_M, rng)
+        fit = fitter.improved(fit, COARSE_M, 3, least=1.0)
+        fit = fitter.rescanned(fit, MIDDLE_M, rng, 32)
+        fit = fitter.improved(fit, MIDDLE_M, 4, least=1.0)
+        each = self.fitters[mounted].start().each
+        each[self.first] = fit.each
+        return replace(fit, each=each)
+
+    def _full(self, job: tuple[Fit, int]) -> Fit:
+        fit, seed = job
+        fitter, rng = self.fitters[fit.mounted], np.random.default_rng(seed)
+        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 6)
+        fit = replace(fit, noise_factor=FIRST_FACTOR, spread=np.ones_like(fit.spread))
+        return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
+
+    def _challengers(self, full: Sequence[Fit]) -> list[tuple[Fit, int]]:
+        """Return what contests the leading causes: no cause, other variants, the other mounting."""
+        leading = list(dict.fromkeys(fit.id for fit in full))[:LEADING]
+        first = {name: next(fit for fit in full if fit.id == name) for name in leading}
+        jobs = [(replace(first[name], cause=None, size=0.0), 9) for name in leading[:2]]
+        best = full[0]
+        tried = {fit.cause for fit in full}
+        for cause in self.causes:
+            if cause.id in leading and cause not in tried:
+                jobs.append((replace(best, cause=cause, size=cause.clipped(best.size)), 8))
+        other = self.fitters[not best.mounted]
+        jobs.append((replace(best, mounted=not best.mounted, each=best.each * other.mask), 8))
+        return jobs
+
+    def _at_size(self, job: tuple[Fit, float]) -> Fit:
+        """Fit a cause from another size, each shift's quantities found anew there."""
+        fit, factor = job
+        assert fit.cause is not None
+        fitter, rng = self.fitters[fit.mounted], np.random.default_rng(3)
+        size = fit.cause.clipped(factor * fit.size)
+        fit = replace(fit, size=size, spread=np.ones_like(fit.spread))
+        for error_m in (COARSE_M, MIDDLE_M):
+            fit = fitter.rescanned(fit, error_m, rng, 64)
+            fit = fitter.improved(fit, error_m, 4, fixed=True)
+        fit = replace(fitter.improved(fit, MIDDLE_M, 5), noise_factor=FIRST_FACTOR)
+        return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
+
+
+def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:
+    """Return at most so many shifts, evenly spread, of each kind its share, those that failed among them.
+
+    Into gear and out of it come in turn: every second shift would be of one kind.
+    """
+    if len(shifts) <= most:
+        return list(shifts)
+    # stable: in time among shifts of one kind
+    order = sorted(
+        range(len(shifts)), key=lambda k: (shifts[k].failed, shifts[k].start, shifts[k].end)
+    )
+    taken = np.linspace(0, len(shifts) - 1, most).round().astype(int)
+    return [shifts[k] for k in sorted(order[at] for at in taken)]
+
+
+def _best_of(
+    fits: Sequence[Fit],
+    most: int,
+    key: Callable[[Fit], float] = lambda fit: fit.cost,
+    hopeless: float = HOPELESS,
+) -> list[Fit]:
+    """Return the best fit, by least key, of each of the best effects that are not hopeless."""
+    best: dict[str, Fit] = {}
+    for fit in sorted(fits, key=key):
+        best.setdefault(fit.id, fit)
+    kept = list(best.values())[:most]
+    return [fit for fit in kept if key(fit) < key(kept[0]) + hopeless]

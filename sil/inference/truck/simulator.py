@@ -1,0 +1,230 @@
+"""Recorded shifts as functions of what may differ: the positions that the pulses would report.
+
+The recorded commands drive the plant at their recorded instants through the batch kernel, any number
+of shifts and amounts in one call.
+Checked by: tests/unit/sil/inference/truck/test_simulator.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.batch.batch import Strokes, simulate_batch
+from plant.devices.valve import switch_schedule
+from plant.effects import apply_effects
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.effects.tolerances import FACTORS
+from plant.integrator.loop import DONE
+from plant.kernel.layout import LENGTH, LengthState, Modes, Parameters
+from plant.kernel.packing import fresh_modes, initial_state
+from plant.parameters import ParameterSet
+from sil.inference.problem import Floats
+from sil.inference.truck.causes import Cause
+from sil.inference.truck.quantities import MESH_N, PULL_N, Layout, quantities
+from sil.log_replay.recorded_shifts import RecordedShift
+
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+NS: Final = 1_000_000_000
+TINY_FORCE_N: Final = 1e-6
+"""Holds every stroke in the scalar kernel, which knows all terms."""
+IMPULSE_PER_SPEED: Final = 0.25 / 0.09
+"""Impulse of the cone per speed difference, N s per rad/s: that of the default driveline."""
+LEAST_IMPULSE_N_S, UNKNOWN_IMPULSE_N_S = 0.3, 30.0
+"""Of a cone at nearly equal speeds, and of one whose speeds the log does not have."""
+TIMING_STEP_NS: Final = 500_000
+"""Delays within this have the same moves of the valves, in another place."""
+MOST_KEPT: Final = 4000
+IN_GEAR, NEUTRAL = ("B", "F"), 1
+"""Gears by name, and the chamber of neutral."""
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """The actuator with one cause of one size: its setup, and the modes of its strokes."""
+
+    setup: Setup
+    modes: Ints
+
+
+class ShiftModel:
+    """The plant of a truck, or of a rig without gearbox, for recorded shifts.
+
+    position_m [shifts, pulses]: as recorded; recorded [shifts, pulses]: whether there is a pulse; acts
+    [shifts, quantities]: which quantities a shift depends on; strokes: simulated so far.
+    """
+
+    def __init__(
+        self, shifts: Sequence[RecordedShift], parameters: ParameterSet, mounted: bool = True
+    ) -> None:
+        self.shifts, self.mounted = tuple(shifts), mounted
+        self.parameters = parameters
+        self.supply_pa = parameters.value("supply.P_s")
+        self.mass_kg = parameters.value("truck.m_gearbox") if mounted else 0.0
+        self.latency_s = parameters.value("position_sensor.latency")
+        has_supply = not any(np.isnan(s.supply_pa) for s in shifts)
+        self.layout = Layout(quantities(parameters, has_supply))
+        self.strokes = 0
+        lengths = np.array([len(s.time_s) for s in shifts])
+        most = int(lengths.max())
+        self.recorded: Bools = np.arange(most) < lengths[:, None]
+        self.time_s: Floats = np.array([_filled(s.time_s, most) for s in shifts])
+        self.position_m: Floats = np.array([_filled(s.position_m, most) for s in shifts])
+        self._supply: Floats = np.array(
+            [1.0 if np.isnan(s.supply_pa) else s.supply_pa / self.supply_pa for s in shifts]
+        )
+        self._impulse: Floats = np.array([_impulse_n_s(s) for s in shifts])
+        into = [any(c != NEUTRAL and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
+        out_of = [s.start in IN_GEAR for s in shifts]
+        kinds = {
+            "always": np.ones(len(shifts), dtype=bool),
+            "report": np.ones(len(shifts), dtype=bool),
+            "mounted": np.full(len(shifts), mounted),
+            "into gear": np.array(into) & mounted,
+            "out of gear": np.array(out_of) & mounted,
+        }
+        self.acts: Bools = np.array([kinds[item.acts] for item in self.layout.own]).T
+        conditions = StrokeConditions(
+            kind="N-B", supply_pressure_pa=self.supply_pa, commands=(), mounted=mounted
+        )
+        self._healthy = Setup.of(parameters, conditions)
+        apply_effects(self._healthy, parameters)
+        self._actuators: dict[tuple[str, float], Actuator] = {}
+        self._moves: dict[tuple[int, int, int], Floats] = {}
+
+    def __len__(self) -> int:
+        return len(self.shifts)
+
+    def actuator(self, cause: Cause | None, size: float) -> Actuator:
+        """Return the actuator with a cause of a size in typical ones."""
+        key = ("" if cause is None else cause.name, size)
+        if key not in self._actuators:
+            if len(self._actuators) > MOST_KEPT:
+                self._actuators.clear()
+            setup = self._healthy.copy()
+            if cause is not None:
+                cause.effect.apply(setup, cause.effect.on_run(cause.values(size)))
+            modes = fresh_modes(LENGTH, setup.conditions.loads())
+            modes.line = 1 if setup.has_line else 0
+            self._actuators[key] = Actuator(setup, modes.array[: Modes.size])
+        return self._actuators[key]
+
+    def positions(
+        self, which: Ints, amounts: Floats, cause: Cause | None = None, sizes: Floats | float = 0.0
+    ) -> tuple[Floats, Bools]:
+        """Simulate strokes of shifts `which` [n] with amounts [n, quantities] in their units.
+
+        sizes: of the cause, [n] or one, in typical ones. Returns the reported positions [n, pulses] in m, and
+        which strokes [n] could be simulated.
+        """
+        self.strokes += len(which)
+        at, acts = self.layout.at, self.acts[which]
+        amounts = np.where(acts, amounts, 0.0)
+        each = [self.actuator(cause, z) for z in np.broadcast_to(sizes, len(which)).tolist()]
+        packed = self._packed(which, amounts, each)
+        p = Parameters(packed)
+        starts = np.array([self.shifts[k].start for k in which])
+        rows: dict[str, Floats] = {}
+        for gear in dict.fromkeys(starts.tolist()):
+            own = Parameters(packed[starts == gear])
+            rows[gear] = initial_state(LENGTH, own, position=gear, charged=())
+        initial = np.empty((len(which), next(iter(rows.values())).shape[1]))
+        for gear, state in rows.items():
+            initial[starts == gear] = state
+        own_latency = np.array([item.setup.chain.latency_s for item in each]) - self.latency_s
+        late_s = amounts[:, at["latency"]] + own_latency
+        instants = np.maximum(self.time_s[which] - late_s[:, None], 0.0)
+        groups: dict[int, list[int]] = {}
+        for row, item in enumerate(each):
+            groups.setdefault(id(item), []).append(row)
+        one = len(groups) == 1
+        strokes = Strokes(
+            system=LENGTH,
+            packed=p.array,
+            flow=np.array([item.setup.c for item in (each[:1] if one else each)]),
+            initial=initial,
+            modes=np.array([item.modes for item in (each[:1] if one else each)]),
+            valves=np.zeros((1, 3)),
+            switches=self._switches(which, amounts, each),
+            duration_s=instants[:, -1] + 1e-6,
+        )
+        result = simulate_batch(strokes, sample_s=instants, columns=[LengthState.x_s])
+        x = result.samples[:, :, 0]
+        reported = np.empty_like(x)
+        for own_rows in groups.values():
+            setup = each[own_rows[0]].setup
+            chain = setup.chain
+            pulses = chain.sensor.duration_s(x[own_rows], chain.coil_temperature_k)
+            seen = chain.calibration.position_m(pulses, chain.measured_temperature_k)
+            reported[own_rows] = setup.reported_m(seen)
+        gain, offset = amounts[:, at["gain"], None], amounts[:, at["offset"], None]
+        return reported * (1.0 + gain) + offset, result.status == DONE
+
+    def _packed(self, which: Ints, amounts: Floats, each: Sequence[Actuator]) -> Floats:
+        """Return packed parameters [n, parameters] of strokes."""
+        at = self.layout.at
+        packed = np.array([item.setup.p.array for item in each])
+        for name in ("friction", "flow_in", "flow_out", "volume_a", "volume_b", "supply"):
+            for column in FACTORS[name]:
+                packed[:, column] *= np.exp(amounts[:, at[name]])
+        p = Parameters(packed)
+        p.p_supply = p.p_supply * self._supply[which]
+        p.m_s = p.m_s + self.mass_kg * (np.exp(amounts[:, at["mass"]]) - 1.0)
+        p.f_linkage = p.f_linkage * np.exp(amounts[:, at["linkage"]])
+        mesh, pull = (usual * self.mounted for usual in (MESH_N, PULL_N))
+        p.mesh_force = np.maximum(TINY_FORCE_N, p.mesh_force + mesh + amounts[:, at["mesh"]])
+        p.pull_force = np.maximum(0.0, p.pull_force + pull + amounts[:, at["pull"]])
+        cone = self._impulse[which] * np.exp(np.clip(amounts[:, at["cone"]], -6.0, 4.0))
+        # cones at equal speeds let the stay pass without a stop, or nearly so
+        cone = np.maximum(cone - LEAST_IMPULSE_N_S, 0.0)
+        p.sync_impulse = np.where(self.acts[which, at["cone"]], cone, 0.0)
+        out: Floats = p.array
+        return out
+
+    def _switches(self, which: Ints, amounts: Floats, each: Sequence[Actuator]) -> Floats:
+        """Return the moves of the valves [n, k, 4] as rows of `plant.batch.batch.Strokes`."""
+        delays = np.array([(i.setup.timing.rise_ns, i.setup.timing.fall_ns) for i in each])
+        own_ns = [NS * amounts[:, self.layout.at[name]] for name in ("rise", "fall")]
+        delays = np.maximum(0, delays + np.array(own_ns).round().astype(np.int64).T)
+        nearby = (delays // TIMING_STEP_NS) * TIMING_STEP_NS + TIMING_STEP_NS // 2
+        later_s = (delays - nearby) / NS
+        timing = each[0].setup.timing
+        keys = list(zip(which.tolist(), *nearby.T.tolist(), strict=True))
+        places = {key: row for row, key in enumerate(dict.fromkeys(keys))}
+        if len(self._moves) > MOST_KEPT:
+            self._moves.clear()
+        for key in places:
+            if key not in self._moves:
+                shift, rise_ns, fall_ns = key
+                near = replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)
+                rows = switch_schedule(self.shifts[shift].commands, near, 3)
+                own = [(at / NS, chamber, u, 0.0) for at, chamber, u in rows]
+                self._moves[key] = np.array(own).reshape(-1, 4)
+        longest = max(len(self._moves[key]) for key in places)
+        table = np.zeros((len(places), longest, 4))
+        table[:, :, 0] = np.inf
+        for key, row in places.items():
+            own_moves = self._moves[key]
+            table[row, : len(own_moves)] = own_moves
+        switches = table[[places[key] for key in keys]]
+        switches[:, :, 0] += np.where(switches[:, :, 2] > 0.5, later_s[:, :1], later_s[:, 1:])
+        order = np.argsort(switches[:, :, 0], axis=1, kind="stable")
+        return np.take_along_axis(switches, order[:, :, None], axis=1)
+
+
+def _filled(values: Floats, most: int) -> Floats:
+    return np.pad(values, (0, most - len(values)), "edge")
+
+
+def _impulse_n_s(shift: RecordedShift) -> float:
+    """Return the usual impulse of the cone, N s, at the speed difference of a shift."""
+    if np.isnan(shift.difference_rad_s) or shift.end == "N":
+        return UNKNOWN_IMPULSE_N_S
+    return max(LEAST_IMPULSE_N_S, IMPULSE_PER_SPEED * abs(shift.difference_rad_s))

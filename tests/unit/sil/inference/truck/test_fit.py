@@ -1,0 +1,82 @@
+"""Fits of a truck: the arrow's steps, what never gets worse, scales, evidence and profiles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sil.inference.truck.fit import COARSE_M, FINE_M, FIRST_FACTOR, Fit, Fitter, System
+from tests.unit.sil.inference.truck.test_causes import only
+
+
+def drawn_system(rng: np.random.Generator) -> tuple[System, np.ndarray, np.ndarray]:
+    """Return the blocks of two shifts with two quantities each and three shared, and the whole."""
+    root = rng.normal(size=(7, 7))
+    whole = root @ root.T + np.eye(7)
+    whole[3:5, 5:7] = whole[5:7, 3:5] = 0.0
+    whole += 9.0 * np.eye(7)
+    gradient = rng.normal(size=7)
+    own = np.array([whole[3:5, 3:5], whole[5:7, 5:7]])
+    coupling = np.array([whole[:3, 3:5], whole[:3, 5:7]])
+    blocks = System(
+        whole[:3, :3], gradient[:3], coupling, own, gradient[3:].reshape(2, 2)
+    )
+    return blocks, whole, gradient
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_a_step_is_that_of_the_whole_matrix(damping: float) -> None:
+    system, whole, gradient = drawn_system(np.random.default_rng(4))
+    step = np.linalg.solve(whole + damping * np.diag(np.diag(whole)), gradient)
+    shared, own = system.step(damping)
+    assert np.concatenate([shared, own.ravel()]) == pytest.approx(step)
+
+
+def test_the_marginal_information_is_that_of_the_whole_matrix() -> None:
+    system, whole, _ = drawn_system(np.random.default_rng(5))
+    assert np.linalg.inv(system.marginal) == pytest.approx(np.linalg.inv(whole)[:3, :3])
+
+
+def test_no_round_and_no_scan_makes_a_fit_worse(fitter: Fitter, usual: Fit) -> None:
+    coarse = fitter.evaluated(usual, COARSE_M)
+    scanned = fitter.rescanned(coarse, COARSE_M, np.random.default_rng(1))
+    better = fitter.improved(scanned, COARSE_M, 2)
+    assert better.cost <= scanned.cost <= coarse.cost
+    assert better.cost == pytest.approx(fitter.evaluated(better, COARSE_M).cost)
+
+
+def test_the_scale_of_the_noise_is_the_likeliest(fitter: Fitter) -> None:
+    sd = np.sqrt(fitter.variance(FINE_M))
+    draws = 5.0 * np.random.default_rng(2).standard_t(4.0, sd.shape)
+    assert fitter.factor_of(fitter.position_m + sd * draws) == pytest.approx(5.0, rel=0.15)
+    assert fitter.factor_of(fitter.position_m) == 1.0
+
+
+def test_a_shift_that_cannot_be_simulated_costs_much(fitter: Fitter, usual: Fit) -> None:
+    x = usual.position_m
+    which = np.arange(len(fitter.model))
+    done = which > 0
+    costs = fitter._misfit(x, done, which, fitter.variance(FINE_M))
+    assert costs[0] == 1e6 and (costs[1:] < 1e5).all()
+
+
+@pytest.fixture(scope="module")
+def late(fitter: Fitter) -> Fit:
+    """A coil 20 K warm, fitted to a healthy truck's shifts."""
+    rng = np.random.default_rng(1)
+    fit = fitter.rescanned(fitter.start(only("sensor_temperature"), 0.5), COARSE_M, rng)
+    fit = fitter.improved(fit, COARSE_M, 6)
+    fit = replace(fitter.improved(fitter.rescanned(fit, 1e-4, rng), 1e-4, 8), noise_factor=FIRST_FACTOR)
+    return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
+
+
+@pytest.mark.slow
+def test_a_cause_that_is_not_there_has_no_size(fitter: Fitter, late: Fit) -> None:
+    assert late.noise_factor < 1.5
+    low, high = fitter.profile(late)
+    assert low <= late.size <= high
+    assert low <= 0.0 <= high or abs(late.size) < 3.0 * late.size_sd
+    # a normal posterior rises by 2 at two standard deviations
+    assert high - low == pytest.approx(4.0 * late.size_sd, rel=0.6)

@@ -1,0 +1,85 @@
+"""Recorded shifts simulated: delays shift the motion, what a shift lacks changes nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from plant.parameters import load
+from sil.inference.truck.fit import Fitter
+from sil.inference.truck.quantities import Layout, quantities
+from sil.inference.truck.simulator import ShiftModel
+from sil.log_replay.recorded_shifts import RecordedShift
+from tests.unit.sil.inference.truck.test_causes import only
+
+
+def positions(model: ShiftModel, **amounts: float) -> np.ndarray:
+    every = np.arange(len(model))
+    there = np.zeros((len(model), len(model.layout)))
+    for name, by in amounts.items():
+        there[:, model.layout.at[name]] = by
+    x, done = model.positions(every, there)
+    assert done.all()
+    return np.where(model.recorded, x, 0.0)
+
+
+def test_the_usual_truck_moves_as_recorded(fitter: Fitter) -> None:
+    model = fitter.model
+    off = positions(model)[model.recorded] - model.position_m[model.recorded]
+    assert np.sqrt(np.mean(off**2)) < 1.5e-3  # the nominal one, barriers and impulses guessed
+
+
+def test_a_later_valve_is_a_later_motion(fitter: Fitter) -> None:
+    # far more than the step within which the moves of the valves are kept
+    rise, latency = positions(fitter.model, rise=0.0023), positions(fitter.model, latency=0.0023)
+    usual = positions(fitter.model)
+    start = np.abs(usual - usual[:, :1]) > 1e-4
+    first = np.argmax(start, axis=1)
+    rows = np.arange(len(usual))
+    late = np.abs(rise - usual)[rows, first]
+    assert (late > 1e-5).all()
+    assert rise[rows, first] == pytest.approx(latency[rows, first], abs=1e-4)
+
+
+def test_the_moves_of_valves_are_exact_between_steps(fitter: Fitter) -> None:
+    near = positions(fitter.model, rise=0.00049)
+    beyond = positions(fitter.model, rise=0.00051)
+    assert np.max(np.abs(near - beyond)) < 2e-4  # 20 us at 1 m/s, and a kink
+
+
+def test_barriers_act_on_their_shifts_alone(fitter: Fitter) -> None:
+    changed = np.abs(positions(fitter.model, mesh=300.0) - positions(fitter.model)).max(axis=1)
+    into = np.array([shift.end in "BF" for shift in fitter.model.shifts])
+    assert (changed[into] > 1e-4).all() and (changed[~into] == 0.0).all()
+
+
+def test_offset_and_gain_act_on_the_report(fitter: Fitter) -> None:
+    usual = positions(fitter.model)
+    shown = positions(fitter.model, offset=1e-4, gain=0.01)
+    recorded = fitter.model.recorded
+    assert shown[recorded] == pytest.approx(1.01 * usual[recorded] + 1e-4)
+
+
+def test_a_cause_of_no_size_is_a_healthy_actuator(fitter: Fitter) -> None:
+    every = np.arange(len(fitter.model))
+    amounts = np.zeros((len(every), len(fitter.layout)))
+    sizes = np.where(every == 0, 2.0, 0.0)
+    x, _ = fitter.model.positions(every, amounts, only("external_force"), sizes)
+    healthy, _ = fitter.model.positions(every, amounts)
+    # strokes of one call share steps: equal within the integrator's tolerance
+    assert x[1:] == pytest.approx(healthy[1:], abs=1e-6)
+    assert np.max(np.abs(x[0] - healthy[0])) > 1e-4
+
+
+def test_without_a_gearbox_its_quantities_do_not_act(shifts: list[RecordedShift]) -> None:
+    model = ShiftModel(shifts, load("nominal"), mounted=False)
+    usual = positions(model)
+    assert np.array_equal(positions(model, mesh=200.0, mass=0.3, linkage=0.5, cone=1.0), usual)
+
+
+def test_a_known_supply_has_a_narrower_prior() -> None:
+    known, unknown = (Layout(quantities(load("nominal"), is_known)) for is_known in (True, False))
+    column = known.at["supply"]
+    assert known.unit_sd[column] < unknown.unit_sd[column]
+    amounts = known.amounts(np.ones(len(known)), np.ones((2, len(known.differing))))
+    assert amounts[0, column] == pytest.approx(known.unit_sd[column] + 0.02)
