@@ -88,6 +88,8 @@ class Thresholds:
     """... and faulty below this."""
     healthy_prior: float = 0.5
     """Probability of a healthy truck before its log is read."""
+    failing_healthy_odds: float = 1e-3
+    """How rarely a shift of a healthy truck fails."""
 
     def unnamed_odds(self, share: float) -> float:
         """Return the odds of something without a name, by the share of the misfit that is left."""

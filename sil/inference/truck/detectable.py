@@ -34,7 +34,7 @@ GROWTH: Final = 1.6
 TRIES: Final = 4
 """Sizes that are tested: the first by that of a linear model, the factor to the next, how many."""
 LARGEST: Final = 20.0
-ROUNDS: Final = 4
+ROUNDS: Final = 8
 TINY: Final = 1e-6
 """Size up to which a cause is tested, in typical ones."""
 
@@ -61,7 +61,10 @@ def detectable_of(
     fitter: Fitter, fit: Fit, causes: Sequence[Cause], workers: int = 1
 ) -> list[Detectable]:
     """Return what shifts like these would show of each effect in its first variant, in a truck as fitted."""
-    truck = fitter.evaluated(replace(fit, cause=None, size=0.0, noise_factor=1.0), FINE_M)
+    # beside a cause the loads may differ between shifts again, whatever they do in this truck
+    spread = np.maximum(fit.spread, 1.0)
+    truck = replace(fit, cause=None, size=0.0, noise_factor=1.0, spread=spread)
+    truck = fitter.evaluated(truck, FINE_M)
     first: dict[str, Cause] = {}
     for cause in causes:
         first.setdefault(cause.id, cause)

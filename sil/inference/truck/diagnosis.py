@@ -62,7 +62,7 @@ class TruckDiagnosis:
         """Return chi squared per number that a hypothesis leaves."""
         fitter, fit = self.fitter(item.fit), item.fit
         assert fit.position_m is not None
-        ratio = (fitter.position_m - fit.position_m) ** 2 / fitter.variance(FINE_M)
+        ratio = fitter.off(fit.position_m) ** 2 / fitter.variance(FINE_M)
         return float(ratio[fitter.model.recorded].mean())
 
 
@@ -112,7 +112,7 @@ def judge(
     noise_m, causes = rest_noise_m(used), offered(used)
     stages = Stages(show)
     few = spread(used, SEARCHED_SHIFTS)
-    search = Search.of(few, parameters, noise_m, causes, workers)
+    search = Search.of(few, parameters, noise_m, causes, workers, used)
     fits = search.run(stages.until(80.0))
     if len(used) > len(few):
         search, fits = search.on_all(used, parameters, noise_m, fits)

@@ -1,6 +1,6 @@
 """Maximum a posteriori fit of one hypothesis to a truck's shifts, and its evidence.
 
-A position is off by noise of the pulses, of their instants where the stay moves, and now and then by
+A position, known to a tick of its timer, is off by noise of the pulses, of their instants where the stay moves, and now and then by
 much more: Student's t. Its scale is at least that of the noise and estimated by likelihood, at a price
 of log(factor) for each number. Each shift has quantities of its own, eliminated on its own; how much
 the loads differ from shift to shift is estimated by EM. Pulses have kinks by every quantity where the
@@ -43,6 +43,8 @@ SPREADS: Final = (0.02, 3.0)
 DAMPINGS: Final = (0.0, 0.01, 0.1, 1.0, 10.0)
 SHORT: Final = 0.4
 """Share of an undamped step that is tried besides the whole one."""
+TRIP_DRAWS: Final = 4
+"""Supplies of a trip that are drawn, with the present one."""
 IMPOSSIBLE: Final = 1e6
 """Cost of a shift that cannot be simulated."""
 STEEPEST_M: Final = 15e-3
@@ -122,7 +124,9 @@ class Fitter:
     """Fits hypotheses to recorded shifts; fixed: the size is not moved."""
 
     def __init__(self, model: ShiftModel, noise_m: float) -> None:
-        self.model, self.noise_m = model, noise_m
+        self.model = model
+        # the timer's rounding is in what is measured at rest, and is no error of its own
+        self.noise_m = float(np.sqrt(max(noise_m**2 - model.tick_m**2 / 12.0, 0.0)))
         self.layout = model.layout
         self.position_m = model.position_m
         self.count = int(model.recorded.sum())
@@ -133,6 +137,11 @@ class Fitter:
 
     # --- costs
 
+    def off(self, x: Floats, which: Ints | slice = slice(None)) -> Floats:
+        """Return by how much recorded positions differ from `x` [n, pulses] beyond the timer's rounding, in m."""
+        rest = self.position_m[which] - x
+        return np.asarray(np.sign(rest) * np.maximum(np.abs(rest) - 0.5 * self.model.tick_m, 0.0))
+
     def variance(self, error_m: float, factor: float = 1.0) -> Floats:
         """Return the squared scale [shifts, pulses] of a position's error in m^2; error_m: that of the model."""
         instant_s = INSTANT_S * max(1.0, error_m / FINE_M) ** 0.5
@@ -141,7 +150,7 @@ class Fitter:
 
     def _misfit(self, x: Floats, done: Bools, which: Ints, variance: Floats) -> Floats:
         """Return the cost [n] of predicted positions [n, pulses] by Student's t."""
-        ratio = (self.position_m[which] - x) ** 2 / variance[which]
+        ratio = self.off(x, which) ** 2 / variance[which]
         tail = 0.5 * (TAIL + 1.0) * np.log1p(ratio / TAIL)
         cost = np.where(self.model.recorded[which], tail, 0.0).sum(axis=1)
         return np.where(done & np.isfinite(cost), cost, IMPOSSIBLE)
@@ -153,12 +162,11 @@ class Fitter:
     @staticmethod
     def unit_cost(unit: Floats, size: float = 0.0) -> float:
         """Return the cost of the truck's quantities [quantities] and a cause's size."""
-        tails = 0.5 * (UNIT_TAIL + 1.0) * np.log1p(unit**2 / UNIT_TAIL)
-        return float(tails.sum() + 0.5 * (size / SIZE_SD) ** 2)
+        return float(_tail_cost(unit).sum() + 0.5 * (size / SIZE_SD) ** 2)
 
     def factor_of(self, x: Floats) -> float:
         """Return the likeliest factor of the noise that leaves positions [shifts, pulses]."""
-        ratio = ((self.position_m - x) ** 2 / self.variance(FINE_M))[self.model.recorded]
+        ratio = (self.off(x) ** 2 / self.variance(FINE_M))[self.model.recorded]
         scaled = np.minimum(ratio, 1e8)[:, None] / FACTORS**2 / TAIL
         cost = self.count * np.log(FACTORS) + 0.5 * (TAIL + 1.0) * np.log1p(scaled).sum(axis=0)
         return float(FACTORS[int(np.argmin(cost))])
@@ -166,7 +174,7 @@ class Fitter:
     def deviating(self, fit: Fit) -> int:
         """Return in how many shifts a position is farther off than noise makes it."""
         assert fit.position_m is not None
-        off = np.abs(self.position_m - fit.position_m) > FAR_SD * np.sqrt(self.variance(FINE_M))
+        off = np.abs(self.off(fit.position_m)) > FAR_SD * np.sqrt(self.variance(FINE_M))
         return int((off & self.model.recorded).any(axis=1).sum())
 
     def start(self, cause: Cause | None = None, size: float = 0.0) -> Fit:
@@ -253,7 +261,7 @@ class Fitter:
     ) -> tuple[Floats, Floats]:
         """Return recorded less predicted positions [shifts, pulses] in m, and their weights in 1/m^2."""
         assert fit.position_m is not None
-        rest = np.where(self.model.recorded, np.nan_to_num(self.position_m - fit.position_m), 0.0)
+        rest = np.where(self.model.recorded, np.nan_to_num(self.off(fit.position_m)), 0.0)
         ratio = 3.0 if expected else rest**2 / variance
         weight = np.where(self.model.recorded, (TAIL + 1.0) / (TAIL + ratio) / variance, 0.0)
         return rest, weight
@@ -336,26 +344,49 @@ class Fitter:
         """Return a fit with the best of random quantities for each shift: half of them near, half by the prior."""
         fit = self.evaluated(fit, error_m)
         n, own = fit.each.shape
+        trips = [np.flatnonzero(acts) for acts in self.model.acts[:, self.layout.of_trips].T]
+        if error_m == FINE_M:
+            trips = []
+        groups = TRIP_DRAWS if trips else 1
         anywhere = rng.random((n, number, 1)) < 0.5
         near = rng.choice([0.1, 0.3], (n, number, 1))
         width = np.where(anywhere, np.maximum(fit.spread, 0.7), near * np.maximum(fit.spread, 0.2))
         centre = np.where(anywhere, 0.0, fit.each[:, None, :])
         there = centre + width * rng.normal(size=(n, number, own)) * self.mask[:, None, :]
         there = np.where(rng.random((n, number, own)) < 0.5, fit.each[:, None, :], there)
-        there[:, 0] = fit.each
+        there[:, :: number // groups] = fit.each[:, None, :]
+        # draws in groups: all shifts of a trip have the same supply in each, the first the present one
+        units = np.repeat(fit.unit[None], groups, axis=0)
+        drawn = units[1:, self.layout.of_trips]
+        units[1:, self.layout.of_trips] = np.where(
+            rng.random(drawn.shape) < 0.5,
+            drawn + 0.3 * rng.normal(size=drawn.shape),
+            rng.normal(size=drawn.shape),
+        )
         which = np.repeat(np.arange(n), number)
-        amounts = self.layout.amounts(fit.unit, there.reshape(-1, own))
-        x, done = self.model.positions(which, amounts, fit.cause, fit.size)
+        amounts = self.layout.amounts(units[0], there.reshape(-1, own)).reshape(
+            n, groups, -1, len(self.layout)
+        )
+        amounts += ((units - units[0]) * self.layout.unit_sd)[None, :, None, :]
+        x, done = self.model.positions(which, amounts.reshape(n * number, -1), fit.cause, fit.size)
         variance = self._variance_of(fit, error_m)
-        per_shift = self._misfit(x, done, which, variance).reshape(n, number)
-        total = per_shift + _own_cost(there, fit.spread)
-        best, rows = np.argmin(total, axis=1), np.arange(n)
+        per_shift = self._misfit(x, done, which, variance).reshape(n, groups, -1)
+        total = per_shift + _own_cost(there, fit.spread).reshape(per_shift.shape)
+        unit, taken = fit.unit.copy(), np.zeros(n, dtype=np.int64)
+        for column, shifts in zip(self.layout.of_trips.tolist(), trips, strict=False):
+            cost = total[shifts].min(axis=2).sum(axis=0) + _tail_cost(units[:, column])
+            taken[shifts] = int(np.argmin(cost))
+            unit[column] = units[taken[shifts[0]], column]
+        rows = np.arange(n)
+        best = np.argmin(total[rows, taken], axis=1)
+        chosen = taken * (number // groups) + best
         return replace(
             fit,
-            each=there[rows, best],
-            position_m=x.reshape(n, number, -1)[rows, best],
-            per_shift=per_shift[rows, best],
-            cost=float(total[rows, best].sum()) + self.unit_cost(fit.unit, fit.size),
+            unit=unit,
+            each=there[rows, chosen],
+            position_m=x.reshape(n, number, -1)[rows, chosen],
+            per_shift=per_shift[rows, taken, best],
+            cost=float(total[rows, taken, best].sum()) + self.unit_cost(unit, fit.size),
         )
 
     def _with_scales(self, fit: Fit) -> Fit:
@@ -422,6 +453,11 @@ class Fitter:
                     break
             ends.append(last[0])
         return min(ends), max(ends)
+
+
+def _tail_cost(unit: Floats) -> Floats:
+    """Return the cost of quantities of a truck [...] by Student's t."""
+    return np.asarray(0.5 * (UNIT_TAIL + 1.0) * np.log1p(unit**2 / UNIT_TAIL))
 
 
 def _own_cost(each: Floats, spread: Floats) -> Floats:

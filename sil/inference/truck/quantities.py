@@ -36,13 +36,15 @@ class Quantity:
     acts: str = "always"
 
 
-def quantities(parameters: ParameterSet, supply_is_known: bool) -> tuple[Quantity, ...]:
-    """Return the quantities of a truck with the actuator of a parameter set."""
+def quantities(
+    parameters: ParameterSet, supply_is_known: bool, trips: int = 1
+) -> tuple[Quantity, ...]:
+    """Return the quantities of a truck with the actuator of a parameter set, and of so many trips."""
     value = parameters.value
     delay = value("repeatability.unit_valve_delay_sd")
     flow, volume = (value(f"repeatability.unit_{name}_sd") for name in ("flow", "volume"))
     friction, jitter = (value(f"repeatability.{n}_sd") for n in ("friction", "valve_delay"))
-    supply, each_supply = (0.02, 0.02) if supply_is_known else (0.08, 0.06)
+    supply, trip_supply = (0.02, 0.02) if supply_is_known else (0.08, 0.1)
     unit_friction = value("repeatability.unit_friction_sd")
     return (
         Quantity("friction", "friction of stay and pistons", "-", unit_friction, friction),
@@ -52,7 +54,7 @@ def quantities(parameters: ParameterSet, supply_is_known: bool) -> tuple[Quantit
         Quantity("flow_out", "discharge flow", "-", flow),
         Quantity("volume_a", "volume of chambers B, F", "-", volume),
         Quantity("volume_b", "volume of chamber N", "-", volume),
-        Quantity("supply", "supply pressure", "-", supply, each_supply, True),
+        Quantity("supply", "supply pressure", "-", supply, 0.02, True),
         Quantity("linkage", "friction of the linkage", "-", 0.3, acts="mounted"),
         Quantity("mass", "mass of the gearbox", "-", 0.2, acts="mounted"),
         Quantity("mesh", "barrier into gear", "N", 500.0, 300.0, True, "into gear"),
@@ -61,6 +63,12 @@ def quantities(parameters: ParameterSet, supply_is_known: bool) -> tuple[Quantit
         Quantity("latency", "way of a pulse to the log", "s", 3e-4, 1e-4),
         Quantity("offset", "offset of the position", "m", 1e-4, acts="report"),
         Quantity("gain", "gain of the position", "-", 0.005, acts="report"),
+        *(
+            Quantity(
+                f"supply_{k}", f"supply pressure, log {k + 1}", "-", trip_supply, acts=f"trip {k}"
+            )
+            for k in range(trips if trips > 1 else 0)
+        ),
     )
 
 
@@ -68,7 +76,7 @@ class Layout:
     """Quantities as columns of arrays.
 
     at: column by name; unit_sd [quantities], shift_sd [differing]; differing: columns of the quantities
-    that differ between shifts; is_load: which of these have an estimated standard deviation.
+    that differ between shifts; of_trips: columns of the supplies of trips; is_load: which of these have an estimated standard deviation.
     """
 
     def __init__(self, own: tuple[Quantity, ...]) -> None:
@@ -77,6 +85,9 @@ class Layout:
         self.unit_sd: Floats = np.array([item.unit_sd for item in own])
         self.differing = np.array([k for k, item in enumerate(own) if item.shift_sd > 0.0])
         self.shift_sd: Floats = np.array([own[k].shift_sd for k in self.differing])
+        self.of_trips = np.array(
+            [k for k, item in enumerate(own) if item.acts.startswith("trip")], dtype=np.int64
+        )
         self.is_load = np.array([own[k].is_load for k in self.differing])
 
     def __len__(self) -> int:

@@ -30,11 +30,14 @@ from sil.inference.truck.fit import (
     Fitter,
 )
 from sil.inference.truck.gains import gains_of
-from sil.inference.truck.simulator import ShiftModel
+from sil.inference.truck.simulator import ShiftModel, trips_of
 from sil.inference.workers import Stages, spread_out
 from sil.log_replay.recorded_shifts import RecordedShift
 
 FIRST_SHIFTS: Final = 6
+"""Shifts that a first look takes."""
+HEALTHY_SEEDS: Final = (5, 6, 7, 8)
+"""Of the random quantities from which a healthy truck that does not explain the shifts is fitted again."""
 SUPPLIES: Final = (0.0, -0.18, -0.09, 0.09)
 """Deviations of the supply pressure at which a healthy truck is fitted first, ..."""
 KNOWN_SUPPLIES: Final = (0.0, 0.02)
@@ -46,8 +49,10 @@ MOST_VARIANTS: Final = 2
 """Variants of an effect that a first look takes."""
 NEAR, NEAR_FITTED, WIDE_FITTED, LEADING = 14, 6, 8, 3
 """Causes fitted near the healthy truck and, of these and of those in a usual truck, fitted in full."""
-HOPELESS: Final = 12.0
+HOPELESS: Final = 40.0
 """Cost behind the best of its kind from which a coarse fit is not continued."""
+CROSSED: Final = 8
+"""Causes that are fitted again in the truck of the leading one."""
 CONTESTING, CONTEST = 3, 25.0
 """Causes that are fitted at other sizes, and log evidence behind the first within which they are."""
 LEAST_GAIN: Final = 1.5
@@ -75,14 +80,19 @@ class Search:
         noise_m: float,
         causes: Sequence[Cause],
         workers: int = 1,
+        trips_from: Sequence[RecordedShift] = (),
     ) -> Search:
-        """Return the search over the shifts of one truck."""
+        """Return the search over the shifts of one truck; trips_from: all of its shifts, if these are some."""
         few = spread(shifts, FIRST_SHIFTS)
         first = [k for k, shift in enumerate(shifts) if any(shift is own for own in few)]
 
+        trips = trips_of(trips_from or shifts)
+
         def fitters(own: Sequence[RecordedShift]) -> dict[bool, Fitter]:
-            models = {mounted: ShiftModel(own, parameters, mounted) for mounted in (True, False)}
-            return {mounted: Fitter(model, noise_m) for mounted, model in models.items()}
+            return {
+                mounted: Fitter(ShiftModel(own, parameters, mounted, trips), noise_m)
+                for mounted in (True, False)
+            }
 
         return cls(fitters(shifts), fitters(few), first, causes, workers)
 
@@ -93,6 +103,10 @@ class Search:
         starts = [(True, supply) for supply in supplies] + [(False, 0.0)]
         fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
         fits.sort(key=lambda fit: -fit.evidence)
+        if not self.is_explained(fits[0]):
+            again = [(fits[0], seed) for seed in HEALTHY_SEEDS]
+            fits += spread_out(self._full, again, self.workers, stages.until(20.0))
+            fits.sort(key=lambda fit: -fit.evidence)
         healthy = fits[0]
         gains = gains_of(self.fitters[healthy.mounted], healthy, self.causes)
         near = self._near(healthy, gains, stages)
@@ -220,11 +234,18 @@ class Search:
         return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
 
     def _challengers(self, full: Sequence[Fit]) -> list[tuple[Fit, int]]:
-        """Return what contests the leading causes: no cause, other variants, the other mounting."""
+        """Return what contests the leading hypothesis.
+
+        No cause, the next ones in its truck, other variants of the leading causes, the other mounting.
+        """
         leading = list(dict.fromkeys(fit.id for fit in full))[:LEADING]
         first = {name: next(fit for fit in full if fit.id == name) for name in leading}
         jobs = [(replace(first[name], cause=None, size=0.0), 9) for name in leading[:2]]
         best = full[0]
+        following = _best_of(full, CROSSED, lambda fit: -fit.evidence, np.inf)[1:]
+        jobs += [
+            (replace(best, cause=fit.cause, size=fit.size), 8) for fit in following if fit.cause
+        ]
         tried = {fit.cause for fit in full}
         for cause in self.causes:
             if cause.id in leading and cause not in tried:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.batch.batch import Strokes, simulate_batch
+from plant.devices.sensors import InductiveSensor
 from plant.devices.valve import switch_schedule
 from plant.effects import apply_effects
 from plant.effects.setup import Setup
@@ -57,20 +58,28 @@ class Actuator:
 class ShiftModel:
     """The plant of a truck, or of a rig without gearbox, for recorded shifts.
 
-    position_m [shifts, pulses]: as recorded; recorded [shifts, pulses]: whether there is a pulse; acts
+    position_m [shifts, pulses]: as recorded, in steps of tick_m; recorded [shifts, pulses]: whether there is a pulse; acts
     [shifts, quantities]: which quantities a shift depends on; strokes: simulated so far.
     """
 
     def __init__(
-        self, shifts: Sequence[RecordedShift], parameters: ParameterSet, mounted: bool = True
+        self,
+        shifts: Sequence[RecordedShift],
+        parameters: ParameterSet,
+        mounted: bool = True,
+        trips: Sequence[str] = (),
     ) -> None:
+        """Take the shifts; trips: sources of more of them, in whose model these take part."""
         self.shifts, self.mounted = tuple(shifts), mounted
         self.parameters = parameters
         self.supply_pa = parameters.value("supply.P_s")
         self.mass_kg = parameters.value("truck.m_gearbox") if mounted else 0.0
         self.latency_s = parameters.value("position_sensor.latency")
+        sensor = InductiveSensor.from_parameters(parameters)
+        self.tick_m = sensor.tick_s / sensor.slope_s_m
         has_supply = not any(np.isnan(s.supply_pa) for s in shifts)
-        self.layout = Layout(quantities(parameters, has_supply))
+        trips = trips or trips_of(shifts)
+        self.layout = Layout(quantities(parameters, has_supply, len(trips)))
         self.strokes = 0
         lengths = np.array([len(s.time_s) for s in shifts])
         most = int(lengths.max())
@@ -90,6 +99,8 @@ class ShiftModel:
             "into gear": np.array(into) & mounted,
             "out of gear": np.array(out_of) & mounted,
         }
+        for k, trip in enumerate(trips):
+            kinds[f"trip {k}"] = np.array([s.source == trip for s in shifts])
         self.acts: Bools = np.array([kinds[item.acts] for item in self.layout.own]).T
         conditions = StrokeConditions(
             kind="N-B", supply_pressure_pa=self.supply_pa, commands=(), mounted=mounted
@@ -175,7 +186,8 @@ class ShiftModel:
             for column in FACTORS[name]:
                 packed[:, column] *= np.exp(amounts[:, at[name]])
         p = Parameters(packed)
-        p.p_supply = p.p_supply * self._supply[which]
+        of_trip = amounts[:, self.layout.of_trips].sum(axis=1)
+        p.p_supply = p.p_supply * self._supply[which] * np.exp(of_trip)
         p.m_s = p.m_s + self.mass_kg * (np.exp(amounts[:, at["mass"]]) - 1.0)
         p.f_linkage = p.f_linkage * np.exp(amounts[:, at["linkage"]])
         mesh, pull = (usual * self.mounted for usual in (MESH_N, PULL_N))
@@ -217,6 +229,11 @@ class ShiftModel:
         switches[:, :, 0] += np.where(switches[:, :, 2] > 0.5, later_s[:, :1], later_s[:, 1:])
         order = np.argsort(switches[:, :, 0], axis=1, kind="stable")
         return np.take_along_axis(switches, order[:, :, None], axis=1)
+
+
+def trips_of(shifts: Sequence[RecordedShift]) -> list[str]:
+    """Return the logs that shifts are from."""
+    return list(dict.fromkeys(shift.source for shift in shifts))
 
 
 def _filled(values: Floats, most: int) -> Floats:

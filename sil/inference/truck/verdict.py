@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import log
 from typing import Final
 
 import numpy as np
@@ -64,18 +63,22 @@ class Verdict:
         return self.hypotheses[0]
 
 
-def weighed(fits: Sequence[Fit], causes: Sequence[Cause]) -> tuple[list[Hypothesis], float]:
+def weighed(
+    fits: Sequence[Fit], causes: Sequence[Cause], failed: int = 0
+) -> tuple[list[Hypothesis], float]:
     """Return the best fit of each hypothesis with its probability, the likeliest first, and that of none of them.
 
-    causes: all that are offered.
+    causes: all that are offered; failed: shifts that did not reach their gear.
     """
     best: dict[str, Fit] = {}
     for fit in sorted(fits, key=lambda fit: -fit.evidence):
         best.setdefault(fit.name, fit)
     variants = Counter(cause.id for cause in causes)
-    healthy = LIMITS.healthy_prior
+    healthy = LIMITS.healthy_prior * LIMITS.failing_healthy_odds ** min(failed, 1)
     priors = [
-        healthy if f.cause is None else (1.0 - healthy) / len(variants) / variants[f.id]
+        healthy
+        if f.cause is None
+        else (1.0 - LIMITS.healthy_prior) / len(variants) / variants[f.id]
         for f in best.values()
     ]
     kept = list(best.values())
@@ -94,10 +97,11 @@ def weighed(fits: Sequence[Fit], causes: Sequence[Cause]) -> tuple[list[Hypothes
 
 
 def _unexplained_share(leader: Fit, healthy: Fit) -> float:
-    """Return the share of the healthy misfit, in log evidence, that the leading hypothesis leaves."""
+    """Return the share of the healthy misfit, in chi squared, that the leading hypothesis leaves."""
     if leader.noise_factor <= LIMITS.max_residual_ratio:
         return 0.0
-    return min(1.0, log(leader.noise_factor) / log(max(healthy.noise_factor, leader.noise_factor)))
+    left, whole = (fit.noise_factor**2 - 1.0 for fit in (leader, healthy))
+    return left / max(left, whole)
 
 
 def by_id(hypotheses: Sequence[Hypothesis], unnamed: float) -> dict[str, float]:
@@ -130,7 +134,7 @@ def decide(
     fits: Sequence[Fit], causes: Sequence[Cause], fitters: dict[bool, Fitter], failed: int
 ) -> Verdict:
     """Return the verdict on fitted hypotheses; failed: shifts that did not reach their gear."""
-    hypotheses, unnamed = weighed(fits, causes)
+    hypotheses, unnamed = weighed(fits, causes, failed)
     probabilities = by_id(hypotheses, unnamed)
     healthy = next(item.fit for item in hypotheses if item.fit.cause is None)
     far = fitters[healthy.mounted].deviating(healthy)
@@ -142,11 +146,12 @@ def decide(
     doubt = ""
     if failed:
         findings.append(f"{counted(failed, 'shift')} did not reach the gear commanded")
-    if (is_wrong and not claims) or (is_wrong and sound >= LIMITS.min_healthy_probability):
-        unnamed, claims = 1.0, []
+    if far >= REPEATED:
         findings.append(
             f"a healthy truck is off by more than {FAR_SD:g} sd in {counted(far, 'shift')}"
         )
+    if is_wrong and (not claims or sound >= LIMITS.min_healthy_probability):
+        unnamed, claims = 1.0, []
     elif not is_wrong and sound < LIMITS.min_healthy_probability:
         shown = ", ".join(f"{name} {p:.2f}" for name, p in probabilities.items() if p > 0.05)
         doubt = f"too much for a healthy truck, too little for an alarm: {shown}"

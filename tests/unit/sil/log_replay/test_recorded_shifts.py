@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sil.shift_diagnosis.shifts import NO_BLOWS, RecordedShift, ShiftReader, shifts_of
 
 from can_dbc.codec import can_id_of
 from can_dbc.contract import DBC_PATH
@@ -18,7 +17,15 @@ from can_dbc.messages import DrivelineSpeeds, SafetyBlow, ValveCommand
 from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames
+from sil.log_replay.recorded_shifts import (
+    MOST_PULSES,
+    NO_BLOWS,
+    RecordedShift,
+    ShiftReader,
+    shifts_of,
+)
 from sil.logs import open_log, open_writer
+from tests.support.truck_logs import truck_log
 
 MAP = """
 [[signal]]
@@ -36,6 +43,14 @@ ROWS = {
     "input_shaft_rad_s": ("DrivelineSpeeds", "InputSpeed", 1.0),
     "output_shaft_rad_s": ("DrivelineSpeeds", "OutputSpeed", 1.0),
 }
+
+
+@pytest.fixture(scope="module")
+def nominal_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Shifts of the nominal truck."""
+    path = tmp_path_factory.mktemp("truck") / "nominal.log"
+    truck_log(path, 3, 5, nominal=True)
+    return path
 
 
 def cut(path: Path, mapping: SignalMapping | None = None) -> list[RecordedShift]:
@@ -155,3 +170,15 @@ def test_what_is_not_whole_in_a_log_is_said(nominal_log: Path, tmp_path: Path) -
     assert list(shifts_of(str(cut_off), load("nominal"), None, Counter(), faults))
     (fault,) = faults
     assert fault.startswith("cut off at line ")
+
+
+def test_a_shift_that_fails_is_data(tmp_path: Path) -> None:
+    log = tmp_path / "blocked.log"
+    truck_log(log, 3, 4, {"plant.mesh_force_n": 20_000.0}, nominal=True)
+    shifts = cut(log)
+    failed = [shift for shift in shifts if shift.failed]
+    assert failed and all(shift.start == "N" and shift.end in "BF" for shift in failed)
+    # followed for as long as pulses are kept
+    for shift in failed:
+        assert len(shift.time_s) == MOST_PULSES
+        assert np.max(np.abs(shift.position_m)) < 0.012

@@ -1,0 +1,64 @@
+"""The search: which shifts it looks at first, what it tries, and what it finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from plant.parameters import load
+from sil.inference.truck.causes import catalogue
+from sil.inference.truck.diagnosis import rest_noise_m
+from sil.inference.truck.fit import Fit
+from sil.inference.truck.search import Search, _best_of, spread
+from sil.log_replay.recorded_shifts import RecordedShift
+from tests.unit.sil.inference.truck.test_causes import only
+
+
+def shift(start: str, end: str, failed: bool = False) -> SimpleNamespace:
+    return SimpleNamespace(start=start, end=end, failed=failed)
+
+
+def test_of_many_shifts_every_kind_has_its_share() -> None:
+    every = [shift("N", "B"), shift("B", "N")] * 20 + [shift("N", "F", failed=True)] * 10
+    few = spread(every, 10)
+    assert len(few) == 10
+    kinds = {(own.start, own.end, own.failed) for own in few}
+    assert kinds == {("N", "B", False), ("B", "N", False), ("N", "F", True)}
+    assert spread(few, 12) == few
+
+
+def coarse(name: str, cost: float) -> Fit:
+    return Fit(only(name), 1.0, np.zeros(1), np.zeros((1, 1)), np.ones(1), cost=cost)
+
+
+def test_of_each_effect_the_best_goes_on_unless_it_is_hopeless() -> None:
+    fits = [coarse("detent", 5.0), coarse("detent", 3.0), coarse("supply_low", 40.0)]
+    fits += [coarse("piston_leak", 4.0)]
+    assert [fit.cost for fit in _best_of(fits, 5)] == [3.0, 4.0]
+    assert [fit.cost for fit in _best_of(fits, 1)] == [3.0]
+
+
+@pytest.fixture(scope="module")
+def search(shifts: list[RecordedShift]) -> Search:
+    return Search.of(shifts, load("nominal"), rest_noise_m(shifts), catalogue())
+
+
+def test_a_first_look_has_a_bump_in_every_place_and_few_variants(search: Search) -> None:
+    names = [cause.id for cause in search._first_look()]
+    bumps = [cause for cause in search.causes if cause.id == "friction_bump"]
+    assert names.count("friction_bump") == len(bumps) > 2
+    assert names.count("alpha_speed") == 2
+    assert set(names) == {cause.id for cause in search.causes}
+
+
+def test_a_healthy_truck_is_explained(search: Search) -> None:
+    fit = search._healthy((True, 0.0))
+    assert search.is_explained(fit)
+    # one that is off by 1 mm in one shift is not
+    far = fit.position_m.copy()
+    far[0, 5] += 1e-3
+    assert not search.is_explained(replace(fit, position_m=far))
+    assert not search.is_explained(replace(fit, unit=fit.unit + 5.0))
