@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from plant.parameters import load
 from sil.logs import LogFrame, open_writer
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
@@ -99,11 +98,9 @@ def same_but(
     folder: Path, seed: int, own: Sequence[dict[str, Any]], cause: dict[str, float] | None = None
 ) -> list[str]:
     """Write one log of torque to torque for each row of `own`, which replaces tables of the scenario."""
-    shipped = load("nominal")
-    assert shipped is not None
     trips = []
     for tables in own:
-        raw = {
+        raw: dict[str, Any] = {
             "name": "torque to torque",
             "duration_s": 4.2,
             "initial_gear": "backward",
@@ -112,12 +109,7 @@ def same_but(
             "driveline": {"noise_rad_s": 0.05},
             "sensor": {"phase_s": 0.002},
         }
-        trips.append(
-            {
-                key: raw.get(key, {}) | tables.get(key, {})
-                if isinstance(raw.get(key, {}), dict)
-                else tables.get(key, raw[key])
-                for key in {**raw, **tables}
-            }
-        )
+        for key, table in tables.items():
+            raw[key] = raw.get(key, {}) | table
+        trips.append(raw)
     return write_trips(folder, trips, cause or {}, seed)

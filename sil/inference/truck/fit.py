@@ -114,7 +114,7 @@ class System(NamedTuple):
 
     @property
     def marginal(self) -> Floats:
-        """Information on the shared quantities, each shift's eliminated."""
+        """Information [shared, shared] on the shared quantities, each shift's eliminated, no unit."""
         reach = self.coupling @ np.linalg.inv(self.own)
         out: Floats = self.shared - np.einsum("kpi,kqi->pq", reach, self.coupling)
         return out
@@ -250,7 +250,7 @@ class Fitter:
         return out
 
     def own_derivatives(self, derivatives: Floats) -> Floats:
-        """Return those by each shift's quantities, of all derivatives."""
+        """Return the derivatives [shifts, pulses, differing] in m by each shift's quantities, of all of them."""
         columns = self.layout.differing
         scale = self.layout.shift_sd / self.layout.unit_sd[columns]
         out: Floats = derivatives[:, :, columns] * scale * self.mask[:, None, :]
@@ -269,7 +269,10 @@ class Fitter:
     def system(
         self, fit: Fit, derivatives: Floats, variance: Floats, expected: bool = False
     ) -> System:
-        """Return the normal equations; expected: with the information that errors have on average."""
+        """Return the normal equations of derivatives [shifts, pulses, quantities + 1] in m and variance in m^2.
+
+        expected: with the information that errors have on average.
+        """
         shared = len(self.layout) + (fit.cause is not None)
         rest, weight = self.weighted_residual(fit, variance, expected)
         by_unit, by_own = derivatives[:, :, :shared], self.own_derivatives(derivatives)

@@ -35,7 +35,7 @@ def coarse(name: str, cost: float) -> Fit:
 
 
 def test_of_each_effect_the_best_goes_on_unless_it_is_hopeless() -> None:
-    fits = [coarse("detent", 5.0), coarse("detent", 3.0), coarse("supply_low", 40.0)]
+    fits = [coarse("detent", 5.0), coarse("detent", 3.0), coarse("supply_low", 90.0)]
     fits += [coarse("piston_leak", 4.0)]
     assert [fit.cost for fit in _best_of(fits, 5)] == [3.0, 4.0]
     assert [fit.cost for fit in _best_of(fits, 1)] == [3.0]
