@@ -123,6 +123,8 @@ def as_json(found: TruckDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
     verdict, shown = found.verdict, None
     if verdict is not None:
         findings.append("on a gearbox" if verdict.best.fit.mounted else "on a rig without gearbox")
+        if unseen := [item.cause.id for item in found.detectable if item.size is None]:
+            findings.append(f"would not have been noticed at any size: {', '.join(unseen)}")
         shown = {"healthy": found.chi2(verdict.healthy), "best": found.chi2(verdict.best)}
     return diagnosis_json(
         Path(logs[0]).name + (f" and {len(logs) - 1} more" if len(logs) > 1 else ""),

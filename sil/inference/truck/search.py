@@ -42,8 +42,8 @@ SUPPLIES: Final = (0.0, -0.18, -0.09, 0.09)
 """Deviations of the supply pressure at which a healthy truck is fitted first, ..."""
 KNOWN_SUPPLIES: Final = (0.0, 0.02)
 """... and where the log states it."""
-FIRST_SIZES: Final = (1.5, 8.0)
-LATER_SIZES: Final = (0.6, 0.8, 1.2, 1.5)
+FIRST_SIZES: Final = (1.5, 5.0, 15.0)
+LATER_SIZES: Final = (0.6, 0.8, 1.25, 2.0)
 """Factors on the leading cause's size that are tried."""
 MOST_VARIANTS: Final = 2
 """Variants of an effect that a first look takes."""
@@ -117,7 +117,7 @@ class Search:
                 (mounted, cause, size, seed)
                 for mounted in mountings
                 for cause in self._first_look()
-                for seed, size in enumerate(cause.sizes(*self._first_sizes(cause)))
+                for seed, size in enumerate(cause.sizes(*FIRST_SIZES[: 3 if cause.sign else 2]))
             ]
             wide = spread_out(self._coarse, jobs, self.workers, stages.until(50.0))
         if not near and not wide:
@@ -174,11 +174,6 @@ class Search:
                 number[cause.id] += 1
                 taken.append(cause)
         return taken
-
-    @staticmethod
-    def _first_sizes(cause: Cause) -> tuple[float, ...]:
-        first, second = FIRST_SIZES
-        return (first, second) if cause.sign else (first, 2.5 * first)
 
     def _healthy(self, start: tuple[bool, float]) -> Fit:
         """Fit a healthy truck, at first at another supply."""

@@ -56,6 +56,7 @@ def test_a_named_cause_is_a_model_and_a_page(
     assert values["campaign"] == "a.log and 1 more"
     assert values["rivals"] == [["sensor_delay", "valve_open_delay"]]
     assert "2 shifts with too few pulses left out" in values["findings"]
+    assert "would not have been noticed at any size: sensor_delay" in values["findings"]
     assert [row["id"] for row in values["detectable"]] == ["valve_open_delay"]
     write_files(found, values, tmp_path, "nominal", "opc4 diagnose a.log b.log")
     model = tomllib.loads((tmp_path / "extended_model.toml").read_text())
