@@ -47,8 +47,8 @@ LATER_SIZES: Final = (0.6, 0.8, 1.25, 2.0)
 """Factors on the leading cause's size that are tried."""
 MOST_VARIANTS: Final = 2
 """Variants of an effect that a first look takes."""
-NEAR, NEAR_FITTED, WIDE_FITTED, LEADING = 14, 6, 8, 3
-"""Causes fitted near the healthy truck and, of these and of those in a usual truck, fitted in full."""
+NEAR, NEAR_FITTED, WIDE_FITTED, LEADING = 14, 6, 6, 3
+"""Causes fitted near the healthy truck; of these, and of those in a usual truck from each size, fitted in full; contested."""
 HOPELESS: Final = 40.0
 """Cost behind the best of its kind from which a coarse fit is not continued."""
 CROSSED: Final = 8
@@ -110,7 +110,7 @@ class Search:
         healthy = fits[0]
         gains = gains_of(self.fitters[healthy.mounted], healthy, self.causes)
         near = self._near(healthy, gains, stages)
-        wide: list[Fit] = []
+        wide: dict[int, list[Fit]] = {}
         if not self.is_explained(healthy):
             mountings = dict.fromkeys((True, healthy.mounted))
             jobs = [
@@ -119,10 +119,16 @@ class Search:
                 for cause in self._first_look()
                 for seed, size in enumerate(cause.sizes(*FIRST_SIZES[: 3 if cause.sign else 2]))
             ]
-            wide = spread_out(self._coarse, jobs, self.workers, stages.until(50.0))
+            fits_of = spread_out(self._coarse, jobs, self.workers, stages.until(50.0))
+            for (*_, size, _), fit in zip(jobs, fits_of, strict=True):
+                # a coarse fit cannot tell sizes apart: the best from each of them goes on
+                wide.setdefault(int(np.searchsorted(FIRST_SIZES, abs(size))), []).append(fit)
         if not near and not wide:
             return fits
-        chosen = [(fit, 5) for fit in _best_of(near, NEAR_FITTED) + _best_of(wide, WIDE_FITTED)]
+        best = _best_of(near, NEAR_FITTED)
+        for own in wide.values():
+            best += _best_of(own, WIDE_FITTED)
+        chosen = [(fit, 5) for fit in best]
         full = spread_out(self._full, chosen, self.workers, stages.until(75.0))
         full.sort(key=lambda fit: -fit.evidence)
         again = self._challengers(full)

@@ -142,6 +142,7 @@ def decide(
     is_wrong = failed > 0 or far >= REPEATED or sound <= LIMITS.max_healthy_probability
     claims = reported(hypotheses, probabilities) if is_wrong and hypotheses[1:] else []
     claims = [replace(c, interval=fitters[c.fit.mounted].profile(c.fit)) for c in claims]
+    claims = [claim for claim in claims if claim.excludes_neutral]
     findings: list[str] = []
     doubt = ""
     if failed:
@@ -152,6 +153,8 @@ def decide(
         )
     if is_wrong and (not claims or sound >= LIMITS.min_healthy_probability):
         unnamed, claims = 1.0, []
+        if not findings:
+            findings.append(f"a healthy truck is {sound:.2g} probable, and no cause has a size")
     elif not is_wrong and sound < LIMITS.min_healthy_probability:
         shown = ", ".join(f"{name} {p:.2f}" for name, p in probabilities.items() if p > 0.05)
         doubt = f"too much for a healthy truck, too little for an alarm: {shown}"
@@ -160,7 +163,6 @@ def decide(
         {claims[0].fit.id: probabilities[claims[0].fit.id]} if claims else {},
         unnamed,
         doubt,
-        has_rivals=bool(claims) and not claims[0].excludes_neutral,
     )
     kind = kind_of(conclusion)
     if kind == "named":

@@ -66,7 +66,8 @@ def test_causes_that_are_alike_are_ambiguous() -> None:
 
 
 def test_a_cause_whose_interval_holds_nothing_is_not_named() -> None:
-    assert judged([fit("", 0.0), fit("detent", 30.0)], ends=(0.0, 3.0)).kind == "ambiguous"
+    found = judged([fit("", 0.0), fit("detent", 30.0)], ends=(0.0, 3.0))
+    assert (found.kind, found.causes) == (UNNAMED, ())
 
 
 def test_what_leaves_far_more_than_noise_has_no_name() -> None:
