@@ -142,6 +142,8 @@ def decide(
     is_wrong = failed > 0 or far >= REPEATED or sound <= LIMITS.max_healthy_probability
     claims = reported(hypotheses, probabilities) if is_wrong and hypotheses[1:] else []
     claims = [replace(c, interval=fitters[c.fit.mounted].profile(c.fit)) for c in claims]
+    if claims and not claims[0].excludes_neutral:
+        claims = []
     claims = [claim for claim in claims if claim.excludes_neutral]
     findings: list[str] = []
     doubt = ""
