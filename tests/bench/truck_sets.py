@@ -27,16 +27,16 @@ def one(seed: int, is_faulty: bool) -> dict[str, Any]:
         began = process_time()
         out = Path(folder) / "out"
         main(["diagnose", *logs, "--out", str(out), "--quiet", "--workers", "1"])
-        found = json.loads((out / "diagnosis.json").read_text())
+        diagnosis = json.loads((out / "diagnosis.json").read_text())
     return {
         "seed": seed,
         "hidden": hidden,
         "size": next(iter(cause.values()), None),
-        "verdict": found["verdict"],
-        "causes": {item["id"]: item["probability"] for item in found["causes"]},
-        "noticed_from": [i["size"] for i in found["detectable"] if i["id"] == hidden],
-        "shifts": found["shifts"],
-        "failed": any("did not reach" in line for line in found["findings"]),
+        "verdict": diagnosis["verdict"],
+        "causes": {item["id"]: item["probability"] for item in diagnosis["causes"]},
+        "noticed_from": [i["size"] for i in diagnosis["detectable"] if i["id"] == hidden],
+        "shifts": diagnosis["shifts"],
+        "failed": any("did not reach" in line for line in diagnosis["findings"]),
         "cpu_s": round(process_time() - began, 1),
     }
 

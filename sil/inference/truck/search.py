@@ -138,7 +138,8 @@ class Search:
             contesting = _best_of(full, CONTESTING, lambda fit: -fit.evidence, CONTEST)
             sizes = [(f, factor) for f in contesting if f.cause for factor in LATER_SIZES]
             full += spread_out(self._at_size, sizes, self.workers, stages.until(95.0))
-        return fits + full
+        leading = _best_of(full, LEADING, lambda fit: -fit.evidence, np.inf)
+        return fits + full + spread_out(self._without, leading, self.workers, stages.until(98.0))
 
     def on_all(
         self,
@@ -254,6 +255,12 @@ class Search:
         other = self.fitters[not best.mounted]
         jobs.append((replace(best, mounted=not best.mounted, each=best.each * other.mask), 8))
         return jobs
+
+    def _without(self, fit: Fit) -> Fit:
+        """Fit a healthy truck from exactly where the fit of a cause ended."""
+        fitter = self.fitters[fit.mounted]
+        fit = replace(fit, cause=None, size=0.0, noise_factor=FIRST_FACTOR)
+        return fitter.finished(fitter.improved(fit, FINE_M, 12), np.random.default_rng(9))
 
     def _at_size(self, job: tuple[Fit, float]) -> Fit:
         """Fit a cause from another size, each shift's quantities found anew there."""

@@ -62,3 +62,11 @@ def test_a_healthy_truck_is_explained(search: Search) -> None:
     far[0, 5] += 1e-3
     assert not search.is_explained(replace(fit, position_m=far))
     assert not search.is_explained(replace(fit, unit=fit.unit + 5.0))
+
+
+def test_a_healthy_truck_is_found_from_where_a_cause_ended(search: Search) -> None:
+    fit = search._healthy((True, 0.0))
+    ended = replace(fit, cause=only("supply_low"), size=0.02, evidence=fit.evidence + 50.0)
+    without = search._without(ended)
+    assert without.cause is None and without.size == 0.0
+    assert without.evidence > fit.evidence - 1.0
