@@ -19,7 +19,7 @@ from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.simulation.impacts import HOLD_S
 from sil.studies.bounds.policy import STEM_SIZE, Edges, Timing, edges_of, switches_of
-from sil.studies.policies import GEARBOX, Bools, Floats, Ints, LoadModel
+from sil.studies.policies import GEARBOX, Floats, Ints, LoadModel
 
 LATER_S = 0.03
 """By how much an arrival may be later than that of the plain push under the same load."""
@@ -79,10 +79,6 @@ class Judgement:
         allowed = np.where(self.late_s <= LATER_S, self.impact_m_s, np.inf)
         worst: Floats = allowed.max(axis=(1, 2, 3))
         return worst
-
-    def under(self, loads: Bools) -> Judgement:
-        """Return the judgement under some loads, [loads] without unit."""
-        return Judgement(self.impact_m_s[..., loads], self.late_s[..., loads])
 
 
 class Judge:

@@ -1,4 +1,4 @@
-"""Two unlike searches for the policy whose hardest stop is softest: CMA-ES and differential evolution.
+"""Two unlike searches for the policy whose hardest stop is softest: CMA-ES and sequential linear programs.
 
 Checked by: tests/unit/sil/studies/bounds/test_search.py
 """
@@ -23,21 +23,23 @@ from sil.studies.bounds.policy import (
     at_releases,
     places_of,
 )
-from sil.studies.policies import Bools, Floats, Ints
+from sil.studies.policies import Floats, Ints
 
 LATEST_START = 22.0
 """Of a pulse of the stem, in units of a policy."""
+STAGES = ((5, 6, 0.4), (8, 4, 0.35), (12, 1, 0.25))
+"""Knots, from load to load, and share of the evaluations of an attempt's stages."""
+BEGINNINGS = 60
+"""Random stems, of which the softest begins an attempt."""
 
 
 class Progress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What one of the searches has done, as it is stored.
 
-    knots_s, values [size]: its best policy; waits_s: how long that lets the information lie; history:
-    after each attempt the evaluations so far and, if a policy arrives in time under all loads, the
-    hardest stop in m/s of the best.
+    knots_s, values [size]: its best policy; history: after each attempt the evaluations so far and, if
+    a policy arrives in time under all loads, the hardest stop in m/s of the best.
     """
 
-    waits_s: float = 0.0
     knots_s: list[float] = []
     values: list[float] = []
     history: list[Annotated[list[float], msgspec.Meta(min_length=1, max_length=2)]] = []
@@ -119,8 +121,7 @@ class Problem:
 
     def judged(self, policy: Progress, judge: Judge, loads: slice = slice(None)) -> Judgement:
         """Return how a policy arrives."""
-        delay_s = self.delay_s + policy.waits_s
-        return judge.judge(policy.policy, policy.knots_s, delay_s, loads)
+        return judge.judge(policy.policy, policy.knots_s, self.delay_s, loads)
 
     def answering(self, policy: Progress, knots: int) -> tuple[Progress, Ints]:
         """Return the same policy with knots over its releases, and places [n] of unitless values that may change.
@@ -138,7 +139,7 @@ class Problem:
         stem, places = places_of(self._valves, knots)
         values[np.setdiff1d(np.arange(STEM_SIZE), stem)] = NO_PULSE
         changing = np.concatenate([stem, places.ravel()])
-        return Progress(policy.waits_s, knots_s.tolist(), values.tolist()), changing
+        return Progress(knots_s.tolist(), values.tolist()), changing
 
     def after(self, progress: Progress, attempt: Progress, evaluations: int) -> Progress:
         """Return the progress after an attempt that ended in a policy."""
@@ -149,102 +150,119 @@ class Problem:
         better = worst_m_s < progress.worst_m_s or not progress.values
         return msgspec.structs.replace(attempt if better else progress, history=history)
 
-    def cma(self, progress: Progress, others: Sequence[Progress], evaluations: int) -> Progress:
-        """Return the progress after one more attempt of CMA-ES.
-
-        The first begins with the policy of another problem that is best here; of the others one in four
-        at random, its population larger each time, the rest at the best so far. Every other knot is
-        searched for itself, under the releases between its neighbours, then those between; then the stem,
-        then all values.
-        """
-        k, rng = len(progress.history), np.random.default_rng(1000 + len(progress.history))
-        size, sigma = (12 + 4 * k, 0.5) if k % 4 == 3 else (16, (0.4, 0.2, 0.1)[k % 4])
-        starts = [each for each in (progress, *others) if each.values][: 1 if k % 4 else None]
-        if k % 4 == 3 or not starts:
-            starts = [Progress(values=random_stem(rng).tolist()) for _ in range(40)]
+    def begin(
+        self, rng: np.random.Generator, others: Sequence[Progress] = (), size: int = 1
+    ) -> list[Progress]:
+        """Return the softest of other policies and of random stems, ascending."""
+        stems = [Progress(values=random_stem(rng).tolist()) for _ in range(BEGINNINGS)]
+        starts = [each for each in (*others, *stems) if each.values]
         few = slice(None, None, 8)
-        start = min(starts, key=lambda each: cost_m_s(self.judged(each, self.judge, few))[0])
-        knots = min(6 * 2 ** (k // 4), 24) if self.judge.shape[2] > 1 else 0
-        start, places = self.answering(start, knots)
-        stem, answer = places_of(self._valves, knots)
-        release_s = self.judge.release_s(start.policy).mean(axis=(0, 1, 2))
-        ends_s = [-math.inf, *start.knots_s, math.inf]
-        always = release_s > 0.0
-        each = [
-            (answer[i], (ends_s[i] < release_s) & (release_s < ends_s[i + 2])) for i in range(knots)
-        ]
-        for step, blocks in (
-            (4, each[::2]), (4, each[1::2]), (4, [(stem, always)]), (2, [(places, always)]),
-        ):  # fmt: skip
-            start = self._evolve(start, blocks, step, sigma, (size, evaluations // 4), rng)
-        return self.after(progress, start, evaluations)
+        return sorted(starts, key=lambda x: cost_m_s(self.judged(x, self.judge, few))[0])[:size]
 
-    def _evolve(
-        self, start: Progress, blocks: Sequence[tuple[Ints, Bools]], step: int, sigma: float,
-        budget: tuple[int, int], rng: np.random.Generator,
-    ) -> Progress:  # fmt: skip
-        """Return a policy after CMA-ES (library `cma`) for each block: places, and loads that matter there.
+    def costs(self, policy: Progress, values: Floats, step: int) -> Floats:
+        """Return the costs of the values [policies, size] in place of a policy's, from load to load."""
+        some = slice(None, None, step)
+        return cost_m_s(self.judge.judge(values, policy.knots_s, self.delay_s, some))
 
-        step: from load to load. budget: policies of a generation, and of all.
+    def cma(
+        self, progress: Progress, evaluations: int, others: Sequence[Progress] = ()
+    ) -> Progress:
+        """Return the progress after one more attempt of CMA-ES (library `cma`), with starts of its own.
+
+        The first stage has four starts, of which the best goes on. others: policies of other problems,
+        to begin with if they are better than random stems.
         """
         import cma
+
+        rng = np.random.default_rng(1000 + len(progress.history))
 
         def randn(*shape: int) -> Floats:
             return rng.standard_normal(shape)
 
-        (size, evaluations), values = budget, start.policy[0]
-        options = {"popsize": size, "seed": np.nan, "randn": randn, "verbose": -9}
-        blocks = [(places, loads[::step]) for places, loads in blocks if loads[::step].any()]
-        searches = [
-            cma.CMAEvolutionStrategy(values[places], sigma, options) for places, _ in blocks
-        ]
-        delay_s = self.delay_s + start.waits_s
-        for _ in range(evaluations // size if blocks else 0):
-            policies = np.repeat(values[None], size + 1, axis=0)
-            for search, (places, _) in zip(searches, blocks, strict=True):
-                policies[:size, places] = search.ask()
-            some = slice(None, None, step)
-            judgement = self.judge.judge(policies, start.knots_s, delay_s, some)
-            for search, (places, loads) in zip(searches, blocks, strict=True):
-                cost = cost_m_s(judgement.under(loads))
-                search.tell(list(policies[:size, places]), list(cost[:size]))
-                values[places] = policies[int(np.argmin(cost)), places]
-        return msgspec.structs.replace(start, values=values.tolist(), history=[])
+        ends = [(0.0, start) for start in self.begin(rng, others, 4)]
+        for (knots, step, share), size, sigma in zip(
+            STAGES, (24, 20, 16), (0.6, 0.3, 0.15), strict=True
+        ):
+            starts = [start for _, start in ends]
+            generations, ends = max(1, int(share * evaluations / len(starts)) // size), []
+            for start in starts:
+                best, places = self.answering(start, knots if self.judge.shape[2] > 1 else 0)
+                options = {"popsize": size, "seed": np.nan, "randn": randn, "verbose": -9}
+                search = cma.CMAEvolutionStrategy(best.policy[0, places], sigma, options)
+                for _ in range(generations):
+                    policies = np.repeat(best.policy, size, axis=0)
+                    policies[:, places] = asked = search.ask()
+                    cost = self.costs(best, policies, step)
+                    search.tell(asked, cost.tolist())
+                    k = int(np.argmin(cost))
+                    end = msgspec.structs.replace(best, values=policies[k].tolist())
+                    ends.append((float(cost[k]), end))
+            ends = [min(ends, key=lambda end: end[0])]
+        return self.after(progress, ends[0][1], evaluations)
 
-    def differential(self, progress: Progress, evaluations: int) -> Progress:
-        """Return the progress after one more attempt of scipy's differential evolution.
+    def linear(self, progress: Progress, evaluations: int) -> Progress:
+        """Return the progress after one more attempt of sequential linear programs, with a start of its own.
 
-        The first begins with random policies, the others with the best of this search among them.
+        Each lowers the hardest of the stops, linear in the values within a trust region [Madsen, 1975].
         """
-        from scipy.optimize import differential_evolution
+        rng = np.random.default_rng(len(progress.history))
+        best, spent = self.begin(rng)[0], BEGINNINGS
+        for knots, step, share in STAGES:
+            begun = bool(best.knots_s)
+            best, places = self.answering(best, knots)
+            values = best.policy[0]
+            if not begun:  # a pulse that is not there has no derivative
+                answer, policies = places[places >= STEM_SIZE], np.repeat(best.policy, 24, axis=0)
+                policies[:, answer] = rng.uniform(0.0, 1.0, (24, len(answer)))
+                values = policies[int(np.argmin(self.costs(best, policies, step)))]
+                spent += 24
+            radius, until = 0.4, spent + share * evaluations
+            while spent < until and radius > 0.004:
+                change = rng.choice([0.02, 0.05, 0.1]) * rng.choice([-1.0, 1.0])
+                radii = radius * np.array([2.0, 1.0, 0.3, 0.1])
+                steps = self._programs(best, values, places, step, change, radii)
+                policies = np.repeat(values[None], len(radii) + 1, axis=0)
+                policies[1:, places] += steps
+                costs = self.costs(best, policies, step)
+                k = int(np.argmin(costs))
+                values = policies[k]
+                radius = radius / 2.0 if k == 0 else float(radii[k - 1])
+                spent += len(places) + 2 + len(radii)
+            best = msgspec.structs.replace(best, values=values.tolist())
+        return self.after(progress, best, spent)
 
-        k, few = len(progress.history), slice(None, None, 6)
-        start = progress if progress.values else Progress(values=[NO_PULSE] * STEM_SIZE)
-        start, places = self.answering(start, 1 + min(k, 5))
-        high = np.where(places < STEM_SIZE, LATEST_START, 4.0)
-        limits = np.stack([np.full(len(places), NO_PULSE - 0.5), high], axis=1)
+    def _programs(
+        self,
+        policy: Progress,
+        values: Floats,
+        places: Ints,
+        step: int,
+        change: float,
+        radii: Floats,
+    ) -> Floats:
+        """Return the steps [radii, places] that soften the hardest stop most, as linear programs see it.
 
-        def policies(columns: Floats) -> Floats:
-            values = np.repeat(start.policy, columns.shape[1], axis=0)
-            values[:, places] = columns.T
-            return values
+        change: of a value, for its derivatives. The latest arrival costs as in `cost_m_s`.
+        """
+        from scipy.optimize import linprog
 
-        result = differential_evolution(
-            lambda x: cost_m_s(self.judge.judge(policies(x), start.knots_s, self.delay_s, few)),
-            limits,
-            x0=start.policy[0, places].clip(*limits.T),
-            vectorized=True,
-            updating="deferred",
-            init="sobol",
-            popsize=max(1, 40 // len(places)),
-            maxiter=evaluations // 64,
-            strategy="currenttobest1bin",
-            tol=0.0,
-            polish=False,
-            rng=np.random.default_rng(k),
-        )
-        values = policies(result.x[:, None])[0].tolist()
-        return self.after(progress, Progress(0.0, start.knots_s, values), evaluations)
+        n = len(places)
+        policies = np.repeat(values[None], n + 1, axis=0)
+        policies[np.arange(n), places] += change
+        some = slice(None, None, step)
+        judgement = self.judge.judge(policies, policy.knots_s, self.delay_s, some)
+        stop_m_s, late_s = (x.reshape(n + 1, -1) for x in (judgement.impact_m_s, judgement.late_s))
+        arrives = np.isfinite(late_s).all(axis=0)
+        stop_m_s, late_s = stop_m_s[:, arrives], late_s[:, arrives]
+        stops = np.clip((stop_m_s[:n] - stop_m_s[n]) / change, -5.0, 5.0).T
+        lates = np.clip(100.0 * (late_s[:n] - late_s[n]) / change, -5.0, 5.0).T
+        hardest, latest = np.eye(2)[:, None].repeat(len(stops), axis=1)
+        matrix = np.block([[stops, -hardest], [lates, -latest]])
+        room = np.concatenate([-stop_m_s[n], 100.0 * (LATER_S - 1e-4 - late_s[n])])
+        goal = np.array([*(0.05 * stops.sum(axis=0) / max(len(stops), 1)), 1.0, 1.0])
+        free = [(0.0, None)] * 2
+        programs = [linprog(goal, matrix, room, bounds=[*[(-r, r)] * n, *free]) for r in radii]
+        return np.array([program.x[:n] for program in programs])
 
 
 def softest_alone(
@@ -262,5 +280,5 @@ def softest_alone(
     problem = Problem(parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s))
     progress = Progress()
     for _ in range(4):
-        progress = problem.cma(progress, others, evaluations // 4)
+        progress = problem.cma(progress, evaluations // 4, [progress, *others])
     return progress

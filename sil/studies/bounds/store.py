@@ -21,7 +21,7 @@ from sil.studies.bounds.policy import ANSWER, STEM_SIZE, commands_of, edges_of
 from sil.studies.bounds.search import Problem, Progress
 from sil.studies.policies import GEARBOX
 
-Search = Literal["cma", "differential"]
+Search = Literal["cma", "linear"]
 SEARCHES: tuple[Search, ...] = get_args(Search)
 
 
@@ -61,8 +61,7 @@ def write_campaign(folder: Path, problem: Problem, policy: Progress) -> None:
     """
     judge, judgement = problem.judge, problem.judged(policy, problem.judge)
     release_s = judge.release_s(policy.policy).reshape(1, -1)
-    delay_s = problem.delay_s + policy.waits_s
-    edges = edges_of(policy.policy, policy.knots_s, release_s, delay_s, judge.timing)
+    edges = edges_of(policy.policy, policy.knots_s, release_s, problem.delay_s, judge.timing)
     scatter = np.arange(release_s.size) // (judge.shape[1] * judge.shape[2])
     edges, strokes = judge.shifted(edges, scatter), list[CampaignStroke]()
     for k, m in np.ndindex(judge.shape[:2]):

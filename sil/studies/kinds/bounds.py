@@ -38,7 +38,7 @@ COLUMNS = {
     "fine_m_s": "grid of 0.25 N s",
     "half_m_s": "half the budget",
     "cma_m_s": "CMA-ES",
-    "differential_m_s": "differential evolution",
+    "linear_m_s": "linear programs",
 }
 
 
@@ -108,13 +108,8 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
         stored = [read_progress(*(root / each.folder for root in roots)) for each in rows]
         problem, progress = keys.problem(self.model), stored[row.number]
         while self.attempts > min(len(each.history) for each in progress.values()):
-            others = [
-                msgspec.structs.replace(each["cma"], waits_s=max(0.0, other.delay_s - keys.delay_s))
-                for each, other in zip(stored, rows, strict=True)
-            ]
-            progress["cma"] = problem.cma(progress["cma"], others, self.evaluations)
-            second = problem.differential(progress["differential"], self.evaluations)
-            progress["differential"] = second
+            progress["cma"] = problem.cma(progress["cma"], self.evaluations)
+            progress["linear"] = problem.linear(progress["linear"], self.evaluations)
             if study.folder is not None:
                 write_progress(roots[0] / keys.folder, progress)
         best = min(progress.values(), key=lambda each: each.worst_m_s)

@@ -14,17 +14,27 @@ PARAMETERS, TODAY = load("nominal"), Timing(0.008, 0.035)
 
 
 def test_each_search_is_softer_than_the_plain_push_and_forgets_nothing() -> None:
-    problem = Problem(PARAMETERS, TODAY, 0.01, (1300.0,))
+    problem = Problem(PARAMETERS, TODAY, 0.01, (1300.0,), impulses_n_s=(100.0, 140.0))
     plain_m_s = problem.judge.plain.impact_m_s.max()
-    first = problem.cma(Progress(), [], 200)
-    assert first.worst_m_s < plain_m_s
-    assert problem.judged(first, problem.judge).worst_m_s[0] == first.worst_m_s
-    again = problem.cma(Progress(), [], 200)
-    assert again == first
-    _, unused = places_of("F", len(first.knots_s))
-    assert set(first.policy[0, unused.ravel()]) == {NO_PULSE}
-    other = problem.differential(first, 128)
-    assert other.worst_m_s <= first.worst_m_s and [n for n, *_ in other.history] == [200, 328]
+    for search in (problem.cma, problem.linear):
+        first = search(Progress(), 200)
+        assert first.worst_m_s < plain_m_s
+        assert problem.judged(first, problem.judge).worst_m_s[0] == first.worst_m_s
+        assert search(Progress(), 200) == first
+        _, unused = places_of("F", len(first.knots_s))
+        assert set(first.policy[0, unused.ravel()]) == {NO_PULSE}
+        second = search(first, 300)
+        assert second.worst_m_s <= first.worst_m_s
+        assert second.history[:1] == first.history and second.history[1][0] > first.history[0][0]
+
+
+def test_linear_programs_lower_the_hardest_stop() -> None:
+    quick = Timing(0.008, 0.005)
+    problem = Problem(PARAMETERS, quick, 0.005, (1300.0,), impulses_n_s=(100.0, 140.0))
+    (begun,) = problem.begin(np.random.default_rng(0))
+    end = problem.linear(Progress(), 900)
+    before_m_s, after_m_s = (problem.costs(each, each.policy, 1)[0] for each in (begun, end))
+    assert after_m_s < before_m_s - 0.04
 
 
 def test_more_knots_are_the_same_policy() -> None:

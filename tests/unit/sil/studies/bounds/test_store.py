@@ -23,7 +23,7 @@ def test_a_policy_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert policy["cma"].values
     write_progress(tmp_path, policy)
     assert read_progress(tmp_path) == policy
-    assert read_progress(tmp_path / "nothing") == {"cma": Progress(), "differential": Progress()}
+    assert read_progress(tmp_path / "nothing") == {"cma": Progress(), "linear": Progress()}
 
 
 @pytest.mark.parametrize(
