@@ -12,8 +12,10 @@ from can_dbc.user_file import (
     ProcessExit,
     error_text,
     exits_raise,
+    parse_json,
     read_user_file,
     read_user_text,
+    resolved,
 )
 
 
@@ -46,6 +48,20 @@ def test_size_and_encoding_are_bounded(tmp_path: Path) -> None:
     path.write_bytes(b"a = 1\nb = '\xfc'\n")
     with pytest.raises(InputError, match="line 2: byte 0xFC is not UTF-8; expected TOML"):
         read_user_text(path, "TOML")
+
+
+def test_json_that_is_nested_too_deeply_is_a_value_error() -> None:
+    assert parse_json('{"a": [1]}') == {"a": [1]}
+    with pytest.raises(ValueError, match="nested too deeply"):
+        parse_json("[" * 100_000)
+
+
+def test_links_are_followed_as_far_as_they_lead(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to("file")
+    (tmp_path / "circle").symlink_to("circle")
+    assert resolved(tmp_path / "link") == (tmp_path / "file").resolve()
+    assert resolved(tmp_path / "circle").is_absolute()
 
 
 def test_an_exit_of_a_users_code_is_an_error_but_ends_a_process_that_it_forked() -> None:
