@@ -250,15 +250,19 @@ def _set_aside(folder: Path, run_files: Sequence[str]) -> None:
     """Move the files of a run into the folder's `previous`.
 
     If `previous` holds a complete run already, and the run in the folder is not complete, that one
-    is kept and the files are deleted.  What marks a run as complete moves last: killed in between,
-    the folder still shows which of both is complete.
+    is kept and the files are deleted.  What tells whether a run is complete goes last: killed in
+    between, the folder still shows which of both is.  One marked INCOMPLETE is not.
     """
     previous = folder / PREVIOUS
     if previous.is_symlink() or (previous.exists() and not previous.is_dir()):
         raise InputError(f"{previous}: not a folder; expected one, or none")
-    delete = _is_complete(previous) and not _is_complete(folder)
+    is_whole = _is_complete(folder)
+    delete = _is_complete(previous) and not is_whole
     previous.mkdir(exist_ok=True)
-    for name in sorted(run_files, key=lambda name: name == RESULT or name in LAST_WRITTEN):
+    if is_whole:  # an older one there may have been marked
+        (previous / INCOMPLETE).unlink(missing_ok=True)
+    last = (INCOMPLETE,) if delete else (RESULT, *LAST_WRITTEN)
+    for name in sorted(run_files, key=lambda name: name in last):
         if delete:
             (folder / name).unlink()
         else:
@@ -266,6 +270,8 @@ def _set_aside(folder: Path, run_files: Sequence[str]) -> None:
 
 
 def _is_complete(folder: Path) -> bool:
+    if (folder / INCOMPLETE).exists():
+        return False
     if any((folder / name).exists() for name in LAST_WRITTEN):
         return True
     try:

@@ -64,6 +64,23 @@ def test_a_folder_is_marked_as_incomplete_until_it_is_closed(tmp_path: Path) -> 
     assert close_folders("bad input") == [] and not (tmp_path / "empty").exists()
 
 
+def test_a_marked_run_does_not_replace_a_complete_one(tmp_path: Path) -> None:
+    """A run killed between its result and its end is not complete, whatever its result says."""
+    out, complete = tmp_path / "run", '{"complete": true}'
+    put(out, result_json=complete + " ", INCOMPLETE="cut off")
+    put(out / "previous", result_json=complete)
+    prepare_folder(out, "x", True)
+    assert (out / "previous" / "result.json").read_text() == complete
+    assert not (out / "result.json").exists()
+    close_folders(None)
+    shutil.rmtree(out)
+    # a complete one replaces what was marked
+    put(out, result_json=complete)
+    put(out / "previous", trace_csv="half", INCOMPLETE="cut off")
+    prepare_folder(out, "x", True)
+    assert tree(out / "previous") == {"result.json": complete, "trace.csv": "half"}
+
+
 def test_a_replaced_run_is_kept_until_the_new_one_is_complete(tmp_path: Path) -> None:
     old = {"result.json": '{"complete": true}', "bus.log": "old", "notes.txt": "mine"}
     put(tmp_path, result_json=old["result.json"], bus_log="old", notes_txt="mine")
