@@ -52,25 +52,25 @@ MOST_KINDS: Final = 4
 """Kinds of shifts that are drawn."""
 
 
-def reported(found: TruckDiagnosis) -> list[Cause]:
+def reported(diagnosis: TruckDiagnosis) -> list[Cause]:
     """Return the causes as diagnosis.json holds them, the most probable first."""
-    if found.verdict is None:
+    if diagnosis.verdict is None:
         return []
     causes = []
-    healthy, probabilities = found.verdict.healthy, found.verdict.probabilities
-    for item in found.verdict.causes:
+    healthy, probabilities = diagnosis.verdict.healthy, diagnosis.verdict.probabilities
+    for item in diagnosis.verdict.causes:
         cause = item.fit.cause
         assert cause is not None
         effect, name = cause.effect, cause.parameter.name
         own = {name: interval(item)}
         gain = item.fit.evidence - healthy.fit.evidence
         text = (
-            f"{effect.what}: {name} {own[name]}; over {counted(len(found.shifts), 'shift')} it gains "
+            f"{effect.what}: {name} {own[name]}; over {counted(len(diagnosis.shifts), 'shift')} it gains "
             f"{gain:.1f} in log evidence, and the noise that is left falls from "
             f"{healthy.fit.noise_factor:.2f} to {item.fit.noise_factor:.2f} times the expected one"
         )
-        ids = {other.fit.id for other in found.verdict.causes} - {cause.id}
-        if alike := [name for name in alike_of(found, cause.id) if name in ids]:
+        ids = {other.fit.id for other in diagnosis.verdict.causes} - {cause.id}
+        if alike := [name for name in alike_of(diagnosis, cause.id) if name in ids]:
             text += f"; the bus cannot distinguish it from {', '.join(alike)}"
         causes.append(Cause(effect.id, effect.cause_class, probabilities[effect.id], own, text))
     return causes
@@ -84,26 +84,26 @@ def interval(item: Hypothesis) -> Interval:
     return Interval(cause.value(item.fit.size), min(values), max(values), cause.parameter.unit)
 
 
-def alike_of(found: TruckDiagnosis, name: str) -> tuple[str, ...]:
+def alike_of(diagnosis: TruckDiagnosis, name: str) -> tuple[str, ...]:
     """Return the ids of the causes that these shifts cannot distinguish from one.
 
     Whichever of two is tested against the other: one of them might be noticed at no size.
     """
-    own = next((item.alike for item in found.detectable if item.cause.id == name), ())
-    others = [item.cause.id for item in found.detectable if name in item.alike]
+    own = next((item.alike for item in diagnosis.detectable if item.cause.id == name), ())
+    others = [item.cause.id for item in diagnosis.detectable if name in item.alike]
     return tuple(dict.fromkeys((*own, *others)))
 
 
-def noticed_of(found: TruckDiagnosis) -> list[Detectable]:
+def noticed_of(diagnosis: TruckDiagnosis) -> list[Detectable]:
     """Return what these shifts would show."""
-    return [item for item in found.detectable if item.size is not None]
+    return [item for item in diagnosis.detectable if item.size is not None]
 
 
-def groups_of(found: TruckDiagnosis) -> list[dict[str, Any]]:
+def groups_of(diagnosis: TruckDiagnosis) -> list[dict[str, Any]]:
     """Return each group of causes that the bus cannot separate, with what would separate it."""
     groups: dict[frozenset[str], dict[str, Any]] = {}
-    classes = {item.cause.id: item.cause.effect.cause_class for item in found.detectable}
-    for item in found.detectable:
+    classes = {item.cause.id: item.cause.effect.cause_class for item in diagnosis.detectable}
+    for item in diagnosis.detectable:
         ids = frozenset((item.cause.id, *item.alike))
         if len(ids) > 1 and ids not in groups:
             kinds = sorted({classes[name] for name in ids})
@@ -112,33 +112,33 @@ def groups_of(found: TruckDiagnosis) -> list[dict[str, Any]]:
     return list(groups.values())
 
 
-def as_json(found: TruckDiagnosis, logs: list[str], skipped: dict[str, int]) -> dict[str, Any]:
+def as_json(diagnosis: TruckDiagnosis, logs: list[str], skipped: dict[str, int]) -> dict[str, Any]:
     """Return the object of diagnosis.json."""
-    causes = reported(found)
+    causes = reported(diagnosis)
     ids = {cause.id for cause in causes}
-    groups = groups_of(found)
-    findings = list(found.findings) + [
+    groups = groups_of(diagnosis)
+    findings = list(diagnosis.findings) + [
         f"{counted(n, 'shift')} {why} left out" for why, n in skipped.items()
     ]
-    verdict, shown = found.verdict, None
+    verdict, shown = diagnosis.verdict, None
     if verdict is not None:
         findings.append("on a gearbox" if verdict.best.fit.mounted else "on a rig without gearbox")
-        if unseen := [item.cause.id for item in found.detectable if item.size is None]:
+        if unseen := [item.cause.id for item in diagnosis.detectable if item.size is None]:
             findings.append(f"would not have been noticed at any size: {', '.join(unseen)}")
-        shown = {"healthy": found.chi2(verdict.healthy), "best": found.chi2(verdict.best)}
+        shown = {"healthy": diagnosis.chi2(verdict.healthy), "best": diagnosis.chi2(verdict.best)}
     return diagnosis_json(
         Path(logs[0]).name + (f" and {len(logs) - 1} more" if len(logs) > 1 else ""),
-        found.kind,
+        diagnosis.kind,
         causes,
         findings,
         FALSE_ALARM_BASIS,
-        headline=headline_of(found, causes),
+        headline=headline_of(diagnosis, causes),
         rivals=[g["causes"] for g in groups if ids.intersection(g["causes"])],
-        extended_model="extended_model.toml" if found.kind == "named" else None,
+        extended_model="extended_model.toml" if diagnosis.kind == "named" else None,
         logs=logs,
-        shifts=len(found.shifts),
-        noise_m=found.noise_m,
-        scatter=scatter_of(found),
+        shifts=len(diagnosis.shifts),
+        noise_m=diagnosis.noise_m,
+        scatter=scatter_of(diagnosis),
         probabilities={
             name: round(p, 4) for name, p in (verdict.probabilities if verdict else {}).items()
         },
@@ -152,45 +152,45 @@ def as_json(found: TruckDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
                 "unit": item.cause.parameter.unit,
                 "alike": list(item.alike),
             }
-            for item in noticed_of(found)
+            for item in noticed_of(diagnosis)
         ],
-        truck=truck_rows(found),
+        truck=truck_rows(diagnosis),
         assumed=list(ASSUMED),
     )
 
 
-def headline_of(found: TruckDiagnosis, causes: list[Cause]) -> str:
+def headline_of(diagnosis: TruckDiagnosis, causes: list[Cause]) -> str:
     """Return the one sentence that a reader needs first; shifts that failed stand before it."""
-    first = found.findings[0] if found.findings else ""
-    if found.kind == UNNAMED:
+    first = diagnosis.findings[0] if diagnosis.findings else ""
+    if diagnosis.kind == UNNAMED:
         return f"Something is wrong: {first}; no cause of the catalogue explains it."
     seen = seen_sentence(
         (i.cause.id, i.value, i.cause.parameter.neutral, i.cause.parameter.unit)
-        for i in noticed_of(found)
+        for i in noticed_of(diagnosis)
         if i.value is not None and not i.cause.is_narrowing
     )
-    text = headline(found.kind, causes, seen, first)
-    return f"{counted(found.failed, 'shift')} failed. {text}" if found.failed else text
+    text = headline(diagnosis.kind, causes, seen, first)
+    return f"{counted(diagnosis.failed, 'shift')} failed. {text}" if diagnosis.failed else text
 
 
-def scatter_of(found: TruckDiagnosis) -> dict[str, float]:
+def scatter_of(diagnosis: TruckDiagnosis) -> dict[str, float]:
     """Return the standard deviations between shifts under the best hypothesis, by quantity, in its unit."""
-    if found.verdict is None:
+    if diagnosis.verdict is None:
         return {}
-    fit = found.verdict.best.fit
-    layout = found.fitter(fit).layout
+    fit = diagnosis.verdict.best.fit
+    layout = diagnosis.fitter(fit).layout
     names = [layout.own[k].name for k in layout.differing]
     return dict(zip(names, (fit.spread * layout.shift_sd).tolist(), strict=True))
 
 
-def truck_rows(found: TruckDiagnosis) -> list[dict[str, Any]]:
+def truck_rows(diagnosis: TruckDiagnosis) -> list[dict[str, Any]]:
     """Return the truck's own quantities under the best hypothesis, with 95 % intervals."""
-    if found.verdict is None:
+    if diagnosis.verdict is None:
         return []
-    fit = found.verdict.best.fit
+    fit = diagnosis.verdict.best.fit
     assert fit.unit_sd is not None
     rows = []
-    for k, item in enumerate(found.fitter(fit).layout.own):
+    for k, item in enumerate(diagnosis.fitter(fit).layout.own):
         value, half = (item.unit_sd * float(x) for x in (fit.unit[k], 1.96 * fit.unit_sd[k]))
         rows.append(
             {"name": item.label, "unit": item.unit, "deviation": value, "low": value - half,
@@ -199,13 +199,13 @@ def truck_rows(found: TruckDiagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-def extended_model(found: TruckDiagnosis, base: str) -> str:
+def extended_model(diagnosis: TruckDiagnosis, base: str) -> str:
     """Return the text of extended_model.toml: the named cause as an effect of the base set."""
-    assert found.verdict is not None
-    (item,) = found.verdict.causes
+    assert diagnosis.verdict is not None
+    (item,) = diagnosis.verdict.causes
     cause, own = item.fit.cause, interval(item)
     assert cause is not None
-    source = f"diagnosed from {counted(len(found.shifts), 'shift')} of a truck's log"
+    source = f"diagnosed from {counted(len(diagnosis.shifts), 'shift')} of a truck's log"
     units = {p.name: p.unit for p in cause.effect.parameters}
     table = {
         name: Parameter(value, units[name], source)
@@ -218,10 +218,10 @@ def extended_model(found: TruckDiagnosis, base: str) -> str:
     )  # fmt: skip
 
 
-def shifts_figure(found: TruckDiagnosis) -> Figure:
+def shifts_figure(diagnosis: TruckDiagnosis) -> Figure:
     """Return a shift of each kind: recorded, the healthy truck, the best explanation, residuals."""
-    assert found.verdict is not None
-    healthy, best = found.verdict.healthy, found.verdict.best
+    assert diagnosis.verdict is not None
+    healthy, best = diagnosis.verdict.healthy, diagnosis.verdict.best
     models = [("healthy truck", healthy.fit, "before")]
     if best is not healthy:
         models.append((best.fit.name, best.fit, "after"))
@@ -229,7 +229,7 @@ def shifts_figure(found: TruckDiagnosis) -> Figure:
     stacks: list[Stack] = []
     kinds: set[tuple[str, str]] = set()
     for k in np.argsort(-healthy.fit.per_shift).tolist():
-        shift = found.shifts[k]
+        shift = diagnosis.shifts[k]
         if (shift.start, shift.end) in kinds or len(stacks) == MOST_KINDS:
             continue
         kinds.add((shift.start, shift.end))
@@ -251,16 +251,16 @@ def shifts_figure(found: TruckDiagnosis) -> Figure:
 
 
 def write_files(
-    found: TruckDiagnosis, values: dict[str, Any], folder: Path, model: str, command: str
+    diagnosis: TruckDiagnosis, values: dict[str, Any], folder: Path, model: str, command: str
 ) -> None:
     """Write report.html, its picture, and the extended model of a named cause."""
-    if found.kind == "named":
-        write_atomically(folder / "extended_model.toml", extended_model(found, model))
+    if diagnosis.kind == "named":
+        write_atomically(folder / "extended_model.toml", extended_model(diagnosis, model))
     pictures, groups = [], []
-    tiles = [(str(len(found.shifts)), noun(len(found.shifts), "shift") + " judged")]
+    tiles = [(str(len(diagnosis.shifts)), noun(len(diagnosis.shifts), "shift") + " judged")]
     rows: list[dict[str, Any]] = []
-    if found.verdict is not None:
-        figure = shifts_figure(found)
+    if diagnosis.verdict is not None:
+        figure = shifts_figure(diagnosis)
         caption = (
             "Shifts that the healthy truck fits worst, one of each kind: recorded pulses, the healthy "
             "truck with its own quantities fitted, and the best explanation."
@@ -268,25 +268,25 @@ def write_files(
         alt = "Recorded and modelled positions of shifts, with residuals"
         pictures.append(Picture(save(figure, folder, "shifts"), alt, caption))
         groups = plots(figure)
-        best = found.verdict.best.fit
+        best = diagnosis.verdict.best.fit
         rows = [
             {"name": item.fit.name, "probability": item.probability,
-             "behind": best.evidence - item.fit.evidence, "chi2": found.chi2(item)}
-            for item in found.verdict.hypotheses
+             "behind": best.evidence - item.fit.evidence, "chi2": diagnosis.chi2(item)}
+            for item in diagnosis.verdict.hypotheses
         ]  # fmt: skip
-        shown = {item.fit.id: item for item in (found.verdict.healthy, found.verdict.best)}
+        shown = {item.fit.id: item for item in (diagnosis.verdict.healthy, diagnosis.verdict.best)}
         tiles += [
-            (f"{found.chi2(item):.2f}", f"chi squared per number, {name}")
+            (f"{diagnosis.chi2(item):.2f}", f"chi squared per number, {name}")
             for name, item in shown.items()
         ]
-        sound = found.verdict.probabilities["healthy"]
+        sound = diagnosis.verdict.probabilities["healthy"]
         tiles.append((f"{sound:.2f}", "probability of a healthy truck"))
     head = Head(
-        command="diagnose", name=values["campaign"], verdict=found.kind,
-        good=found.kind == "consistent", tiles=tiles, again=command,
+        command="diagnose", name=values["campaign"], verdict=diagnosis.kind,
+        good=diagnosis.kind == "consistent", tiles=tiles, again=command,
     )  # fmt: skip
     page = render(
-        "truck_diagnosis.html", head, groups, values=values, causes=reported(found),
+        "truck_diagnosis.html", head, groups, values=values, causes=reported(diagnosis),
         pictures=pictures, hypotheses=rows,
     )  # fmt: skip
     write_atomically(folder / "report.html", page)
