@@ -216,6 +216,7 @@ class ShiftMachine:
             and observed.requested != self._served
         ):
             self._init_ns = None
+            self._served = None  # the failed request is a new one if it comes back
             self._change(Event.RECOVERED)
 
     def _confirm_again(self, observed: Observation, gear: Gear) -> None:

@@ -141,6 +141,7 @@ static void step_fault(const struct observation *seen)
 {
     if (seen->recoverable && seen->requested != OPC4_GEAR_UNKNOWN && seen->requested != machine.served) {
         machine.has_init = false;
+        machine.served = OPC4_GEAR_UNKNOWN; /* the failed request is a new one if it comes back */
         change(RECOVERED);
     }
 }

@@ -113,6 +113,11 @@ class RunRecord:
     def _decoded(self) -> dict[type, list[tuple[BusFrame, Any]]]:
         return {}
 
+    @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What has been concluded from the record and is asked for again, by what it is."""
+        return {}
+
     def frames_of(self, can_id: int) -> Collection[BusFrame]:
         """Return the frames of one identifier, in order of arrival."""
         return self._by_id.get(can_id, ())

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -55,13 +55,24 @@ class _Step:
     """When the channel was valid last."""
 
 
-def _steps(record: RunRecord, circumstances: Circumstances, kind: Any) -> Iterator[_Step]:
-    frames = list(record.frames_of(can_id_of(kind)))
-    config = E2eConfig(round(_timeout_s(circumstances, kind) * NS_PER_S))
+def _steps(record: RunRecord, circumstances: Circumstances, kind: Any) -> list[_Step]:
+    timeout_ns = round(_timeout_s(circumstances, kind) * NS_PER_S)
     computation_ns = circumstances.control.computation_ns * circumstances.slow_clock
+    key = kind, timeout_ns, computation_ns
+    if key not in record.derived:
+        record.derived[key] = list(_each_step(record, kind, timeout_ns, computation_ns))
+    return cast("list[_Step]", record.derived[key])
+
+
+def _each_step(
+    record: RunRecord, kind: Any, timeout_ns: int, computation_ns: float
+) -> Iterator[_Step]:
+    frames = list(record.frames_of(can_id_of(kind)))
     begins = [round(f.released_ns - computation_ns) for f in record.frames_of(STATUS_ID)]
     start_ns = min(begins[:1] + [frame.arrival_ns for frame in frames[:1]], default=0)
-    channel = Receiver(kind, config, max(start_ns, 0))  # counts from the firmware's first step
+    channel = Receiver(
+        kind, E2eConfig(timeout_ns), max(start_ns, 0)
+    )  # counts from the firmware's first step
     # the record may be a piece of a run: until frames have followed each other
     valid_s = _begin_s(record) + 0.05
     taken = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import zip_longest
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ def sent(record: RunRecord, kind: Any) -> Iterator[tuple[float, Any]]:
 
 
 def _accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
+    if kind in record.derived:
+        return cast("list[tuple[BusFrame, Any]]", record.derived[kind])
     receiver = Receiver(kind, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
     messages: list[tuple[BusFrame, Any]] = []
     for entry in record.frames_of(can_id_of(kind)):
@@ -46,6 +48,7 @@ def _accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
             messages.append((entry, None))
         elif status in ACCEPTED:
             messages.append((entry, receiver.message))
+    record.derived[kind] = messages
     return messages
 
 

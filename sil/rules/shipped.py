@@ -128,8 +128,8 @@ def _coil_on_time(record: RunRecord, circumstances: Circumstances) -> Broken:
     for chamber, times in _energised(record, control.duty_closed).items():
         begin_s = last_s = -math.inf
         for at_s in times:
-            if at_s - last_s > 3.0 * control.period_s:
-                begin_s = at_s
+            if at_s - last_s > 1.9 * control.period_s * circumstances.slow_clock:
+                begin_s = at_s  # off in between for a step at least
             last_s = at_s
             if at_s - begin_s > most_s:
                 return at_s, f"the coil of {chamber.name} is on for more than {most_s:.2f} s"
@@ -168,8 +168,8 @@ def _answer_s(circumstances: Circumstances, before: ControllerStatus | None, tar
 
 def _unanswered_request(record: RunRecord, circumstances: Circumstances) -> Broken:
     """Every request is answered in time, by the gear or by a fault."""
-    if circumstances.disturbed or circumstances.down_s:
-        return None  # what neither side received is nobody's to answer
+    if circumstances.disturbed or circumstances.down_s or not circumstances.true_samples:
+        return None  # what neither side received is nobody's to answer; a false sample may begin a leg anew
     time_s = record.truth["time_s"]
     end_s = float(time_s[-1]) if len(time_s) else 0.0
     status = [(e.arrival_ns / NS_PER_S, m) for e, m in record.of(ControllerStatus)]

@@ -189,6 +189,16 @@ class TestFault:
         assert bench.machine.confirmed is N
         assert bench.step() is S.IDLE
 
+    def test_the_failed_request_that_comes_back_during_init_is_a_new_one(self) -> None:
+        bench = self.failed()
+        bench.step(position_valid=True, gear=U)
+        assert bench.step(requested=N) is S.INIT
+        bench.step(requested=B)
+        assert bench.until(S.IDLE) > 0
+        assert bench.step() is S.PUSH
+        assert bench.machine.leg is N
+        assert bench.machine.final is B
+
     def test_not_while_the_position_is_lost(self) -> None:
         bench = self.failed()
         assert bench.step(requested=N) is S.FAULT
