@@ -82,6 +82,15 @@ def test_a_coil_on_for_too_long() -> None:
     assert broken(always_on) == ["coil_on_time"]
 
 
+def test_a_coil_that_is_off_for_a_step_begins_anew() -> None:
+    """Off in one step of ten, 0.1 s apart: never on for longer than that."""
+
+    def pulsed(time_s: float, command: ValveCommand) -> ValveCommand:
+        return dataclasses.replace(command, duty_n=0.0 if round(100.0 * time_s) % 10 == 0 else 0.98)
+
+    assert broken(sent_otherwise(ValveCommand, pulsed)) == []
+
+
 def test_a_request_that_nobody_answers() -> None:
     def idle(_: float, status: ControllerStatus) -> ControllerStatus:
         return dataclasses.replace(status, confirmed=Gear.UNKNOWN, state=ShiftState.IDLE)
@@ -89,6 +98,8 @@ def test_a_request_that_nobody_answers() -> None:
     expected = ["unconfirmed_gear", "unanswered_request"]
     assert broken(sent_otherwise(ControllerStatus, idle)) == expected
     assert broken(sent_otherwise(ControllerStatus, idle), disturbed=True) == []
+    false_samples = broken(sent_otherwise(ControllerStatus, idle), true_samples=False)
+    assert "unanswered_request" not in false_samples
 
 
 def test_a_push_that_is_given_up_too_early() -> None:
