@@ -2,6 +2,7 @@
 
 [posterior]: by quantity of `plant.effects.tolerances`, its row of the covariance of all that stand there,
 up to its own column; logarithms, seconds or, of what is limited, standard normal deviations.
+[posterior_truck]: by quantity of a truck with its gearbox, its standard deviation after the fit to logs.
 [discrepancy], [discrepancy_time]: by measured column, rms of what the model leaves beyond the noise, and
 its correlation time.
 Checked by: tests/unit/sil/inference/calibrate/test_calibrate.py
@@ -13,6 +14,11 @@ QUANTITIES = (
     *("friction", "breakaway", "viscous", "mass", "spring", "rise", "fall", "flow_in", "flow_out"),
     *("critical", "volume_a", "volume_b", "kappa", "wall_heat"),
 )
+OF_TRUCK = {
+    **dict.fromkeys(("friction", "flow_in", "flow_out", "volume_a", "volume_b"), "1"),
+    **dict.fromkeys(("linkage", "mass"), "1"),
+    **dict.fromkeys(("rise", "fall"), "s"),
+}
 COLUMNS = {
     "position_m": "m",
     "pressure_oil2_pa": "Pa",
@@ -20,6 +26,7 @@ COLUMNS = {
 }
 UNITS = {
     **{f"posterior.{name}": "1" for name in QUANTITIES},
+    **{f"posterior_truck.{name}": unit for name, unit in OF_TRUCK.items()},
     **{f"discrepancy.{name}": unit for name, unit in COLUMNS.items()},
     **{f"discrepancy_time.{name}": "s" for name in COLUMNS},
 }

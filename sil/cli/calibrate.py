@@ -1,4 +1,4 @@
-"""Fit a model to healthy strokes of one unit: the baseline of its later diagnoses.
+"""Fit a model to healthy strokes of one unit, or to the shifts in a healthy truck's logs: the baseline of its later diagnoses.
 
 Exit 1: the model is not good enough to diagnose with; it is written all the same.
 """
@@ -9,19 +9,37 @@ import argparse
 import json
 import shlex
 import sys
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from can_dbc.errors import InputError
-from sil.cli.options import JSON, argument
+from sil.cli.options import JSON, LAYOUT, argument
+from sil.files.quantity import counted
 
-EXAMPLE = "example: opc4 calibrate healthy/ --model data_sheet.toml --out mine.toml"
+if TYPE_CHECKING:
+    from sil.inference.calibrate.calibration import Calibration
+    from sil.report.figure import Figure
+
+EXAMPLE = """\
+example:
+  opc4 calibrate healthy/ --model data_sheet.toml --out mine.toml
+  opc4 calibrate monday.asc tuesday.asc --out truck.toml
+"""
 
 ARGUMENTS = (
-    argument("campaign", "campaign folder of healthy strokes", "CAMPAIGN"),
+    argument(
+        "campaign",
+        "campaign folder of healthy strokes, or CAN logs of a healthy truck",
+        "CAMPAIGN",
+        nargs="+",
+    ),
     argument(
         "--model", "data sheet: model file or parameter set [nominal]", "MODEL", default="nominal"
     ),
     argument("--out", "model file to write; its page has the same name", "FILE.toml", type=Path),
+    *LAYOUT,
     argument("--force", "replace FILE.toml"),
     JSON,
 )
@@ -32,31 +50,25 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises InputError for a campaign, a data sheet or an --out that is not valid.
     """
-    from plant.parameters import load
-    from sil.campaign.campaign import load_campaign
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite
-    from sil.files.progress import Progress
-    from sil.inference.calibrate.calibration import calibrate
-    from sil.inference.calibrate.output import model_text, scalars, write_page
+    from sil.inference.calibrate.output import model_text, write_page
 
     out: Path | None = arguments.out
     if out is None or out.suffix != ".toml":
         raise InputError(f"--out {out or 'missing'}: expected the name of a .toml file to write")
     if out.exists() and not arguments.force:
         raise InputError(f"{out}: exists; expected a new file, or --force")
-    if Path(arguments.campaign).is_file():
-        what = "is a file; expected a campaign folder (logs of a truck are not calibrated)"
-        raise InputError(f"{arguments.campaign}: {what}")
-    campaign, parameters = load_campaign(arguments.campaign), load(arguments.model)
-    with Progress(f"calibrating {campaign.name}", "iterations", at_once=True) as progress:
-        result = calibrate(campaign, parameters, progress)
+    if Path(arguments.campaign[0]).is_file():
+        result, figure = _of_logs(arguments)
+    else:
+        result, figure = _of_campaign(arguments)
     page = out.with_suffix(".html")
     write_atomically(out, model_text(result))
-    write_page(result, page, shlex.join(["opc4", *sys.argv[1:]]))
+    write_page(result, figure, page, shlex.join(["opc4", *sys.argv[1:]]))
     if arguments.json:
         table = {
-            "campaign": campaign.name,
+            "campaign": result.name,
             "good": result.good,
             "headline": result.headline,
             "channels": {
@@ -70,26 +82,61 @@ def run(arguments: argparse.Namespace) -> int:
             },
             "values": {
                 path: {"value": v.value, "low": v.low, "high": v.high}
-                for path, v in scalars(result).items()
+                for path, v in result.scalars.items()
             },
             "undetermined": list(result.undetermined),
             "missing": dict(result.missing),
-            "findings": [str(item) for item in result.findings],
+            "findings": list(result.findings),
             "model": str(out),
             "page": str(page),
         }
         print(json.dumps(finite(table), ensure_ascii=False))
         return 0 if result.good else 1
-    print(f"{campaign.name}: {result.headline}")
-    print("residual over noise on strokes held out:")
+    print(f"{result.name}: {result.headline}")
+    print(f"residual over noise on {result.content.split()[1]} held out:")
     for name, channel in result.channels.items():
         print(f"  {name:22} {channel.misfit.rms:.2f}")
-    for path, value in scalars(result).items():
+    for path, value in result.scalars.items():
         interval = f"[{value.low:.4g}, {value.high:.4g}]"
-        print(f"  {path:26} {value.value:.4g} {interval} {parameters[path].unit}")
+        print(f"  {path:26} {value.value:.4g} {interval} {result.parameters[path].unit}")
     if result.undetermined:
         print(f"  not determined, as the data sheet says: {', '.join(result.undetermined)}")
     for line in result.findings:
         print(f"  {line}")
     print(f"  written to {out} and {page}", file=sys.stderr)
     return 0 if result.good else 1
+
+
+def _of_campaign(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
+    from plant.parameters import load
+    from sil.campaign.campaign import load_campaign
+    from sil.files.progress import Progress
+    from sil.inference.calibrate.calibration import calibrate
+    from sil.inference.calibrate.output import strokes_figure
+
+    folder, *others = arguments.campaign
+    if others:
+        raise InputError(f"{others[0]}: a second campaign; expected one, or CAN logs only")
+    if arguments.map or arguments.dbc:
+        raise InputError("--map, --dbc: not together with a campaign; expected CAN logs")
+    campaign, parameters = load_campaign(folder), load(arguments.model)
+    with Progress(f"calibrating {campaign.name}", "iterations", at_once=True) as progress:
+        result = calibrate(campaign, parameters, progress)
+    return result, strokes_figure(result)
+
+
+def _of_logs(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
+    from plant.parameters import load_actuator
+    from sil.files.progress import Progress
+    from sil.inference.calibrate.logs import calibrate_truck, shifts_figure
+    from sil.inference.truck.diagnosis import shifts_of_truck
+
+    logs: list[str] = arguments.campaign
+    name = Path(logs[0]).name + (f" and {len(logs) - 1} more" if logs[1:] else "")
+    parameters, skipped = load_actuator(arguments.model), Counter[str]()
+    layout = arguments.map, arguments.dbc
+    with Progress(f"calibrating {name}", "%", at_once=True) as progress:
+        shifts, broken = shifts_of_truck(logs, parameters, layout, skipped)
+        result = calibrate_truck(shifts, parameters, name, progress, workers=2)
+    skips = [f"{counted(n, 'shift')} {why} left out" for why, n in skipped.items()]
+    return replace(result, findings=(*skips, *broken)), shifts_figure(result)

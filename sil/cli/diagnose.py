@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from can_dbc.errors import InputError
-from sil.cli.options import EFFECTS, JSON, argument, out
+from sil.cli.options import EFFECTS, JSON, LAYOUT, argument, out
 
 EXAMPLE = """\
 example:
@@ -55,8 +55,7 @@ ARGUMENTS = (
         metavar="MODEL",
     ),
     EFFECTS,
-    argument("--map", "meaning of the signals of a truck's log with another layout (TOML)", "FILE"),
-    argument("--dbc", "database with the signals that --map names", "FILE"),
+    *LAYOUT,
     *out("runs/CAMPAIGN-diagnosis-N"),
     argument("--workers", "processes (default 2)", "N", type=int, default=2),
     JSON,
@@ -202,19 +201,22 @@ def run_logs(arguments: argparse.Namespace) -> int:
     from plant.effects.user_file import load_effects
 
     stamps = [load_effects(file) for file in arguments.effects]
+    from plant.parameters import load_actuator
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
-    from sil.inference.truck.diagnosis import diagnosed
+    from sil.inference.truck.diagnosis import judge, shifts_of_truck
     from sil.inference.truck.page import as_json, write_files
 
     name = Path(arguments.campaign[0]).name.split(".")[0]
     logs, skipped = arguments.campaign, Counter[str]()
+    parameters = load_actuator(arguments.model)
     layout, workers = (arguments.map, arguments.dbc), arguments.workers
     folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force, inputs=logs)
     with Progress(f"diagnosing {name}", "%", at_once=True) as progress:
-        found = diagnosed(logs, arguments.model, layout, skipped, progress, workers)
-    values = finite(as_json(found, logs, dict(skipped)) | {"effects": stamps})
-    write_files(found, values, folder, arguments.model, shlex.join(["opc4", *sys.argv[1:]]))
+        shifts, broken = shifts_of_truck(logs, parameters, layout, skipped)
+        result = judge(shifts, parameters, broken, progress, workers)
+    values = finite(as_json(result, logs, dict(skipped)) | {"effects": stamps})
+    write_files(result, values, folder, arguments.model, shlex.join(["opc4", *sys.argv[1:]]))
     return _finish(arguments, folder, values)
 
 

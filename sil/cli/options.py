@@ -48,6 +48,10 @@ def out(default: str) -> tuple[Argument, Argument]:
     )
 
 
+LAYOUT = (
+    argument("--map", "meaning of the signals of a truck's log with another layout (TOML)", "FILE"),
+    argument("--dbc", "database with the signals that --map names", "FILE"),
+)
 JSON = argument("--json", "print one JSON object on standard output, nothing else")
 OWN_RULES = argument("--rules", "rules of one's own as well: RULES in a Python file", "FILE.py")
 SEED = argument("--seed", "seed of everything random", "N", type=int)

@@ -19,8 +19,9 @@ from plant.errors import IntegrationError
 from plant.parameters import Parameter, ParameterSet
 from plant.parameters.calibration import UNITS
 from sil.campaign.campaign import Campaign, Floats
+from sil.files.quantity import counted
 from sil.inference.calibrate.values import Calibrated, calibrated_values
-from sil.inference.campaign.checks import Finding, observed
+from sil.inference.campaign.checks import observed
 from sil.inference.campaign.diagnosis import available
 from sil.inference.campaign.model import CampaignModel, channel_parts
 from sil.inference.campaign.tangent_model import model_of
@@ -59,20 +60,21 @@ class HeldOut:
 class Calibration:
     """A calibrated unit.
 
-    model, fit: with the discrepancy; values: what the model file states, by path; undetermined:
-    quantities that stay as their priors say; missing: structures that would explain what is left, and
-    their shares of it.
+    name: of the data; content: how many strokes or shifts; values: what the model file states, by path;
+    changes: each quantity of the unit with its amount, its deviation after the fit, and the one before
+    it; posterior: what the file says of these; undetermined: quantities that stay as their priors say;
+    missing: structures that would explain what is left, and their shares of it.
     """
 
-    campaign: Campaign
+    name: str
+    content: str
     parameters: ParameterSet
-    model: CampaignModel
-    fit: FitResult
     channels: Mapping[str, HeldOut]
     values: Mapping[str, Calibrated]
-    undetermined: tuple[str, ...]
+    changes: tuple[tuple[str, float, float, float], ...]
+    posterior: Mapping[str, Parameter]
     missing: Mapping[str, float]
-    findings: tuple[Finding, ...]
+    findings: tuple[str, ...]
 
     @property
     def good(self) -> bool:
@@ -86,22 +88,24 @@ class Calibration:
         return name, self.channels[name].misfit.rms
 
     @property
-    def covariance(self) -> tuple[tuple[str, ...], Floats]:
-        """Quantities of the unit, and the covariance [n, n] of their amounts."""
-        model = self.model
-        count = len(model.unit)
-        full = model.spread.root @ self.fit.covariance[:count, :count] @ model.spread.root.T
-        rows = [k for k, name in enumerate(model.unit) if f"posterior.{name}" in UNITS]
-        return tuple(model.unit[k] for k in rows), 0.5 * (full + full.T)[np.ix_(rows, rows)]
+    def undetermined(self) -> tuple[str, ...]:
+        """Quantities that the data do not determine."""
+        return tuple(n for n, _, after, before in self.changes if after > MIN_SHRINKAGE * before)
+
+    @property
+    def scalars(self) -> dict[str, Calibrated]:
+        """The calibrated values that are one number with an interval, by path."""
+        return {path: item for path, item in self.values.items() if item.low is not None}
 
     @property
     def headline(self) -> str:
         """The verdict in one sentence."""
         worst, rms = self.worst
+        data = self.content.split()[-1]
         if rms <= LIMITS.max_residual_ratio:
-            what = "noise explains the strokes that the fit did not use"
+            what = f"noise explains the {data} that the fit did not use"
             return f"Good enough to diagnose with: {what}."
-        text = f"{worst} is off by {rms:.2g} times its noise on strokes that the fit did not use"
+        text = f"{worst} is off by {rms:.2g} times its noise on {data} that the fit did not use"
         if self.good:
             return f"Good enough to diagnose with: {text}, and every interval is wider for it."
         text = f"Not good enough to diagnose with: {text}"
@@ -111,9 +115,17 @@ class Calibration:
         return f"{text}. What would explain most of it: {', '.join(names)}."
 
 
+@dataclass(frozen=True)
+class StrokeCalibration(Calibration):
+    """A unit calibrated on strokes; model, fit: with the discrepancy."""
+
+    model: CampaignModel
+    fit: FitResult
+
+
 def calibrate(
     campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
-) -> Calibration:
+) -> StrokeCalibration:
     """Fit a unit to its healthy strokes.
 
     parameters: the data sheet. Raises InputError for a campaign that cannot be compared, too few strokes,
@@ -141,18 +153,18 @@ def calibrate(
         fit = Fitter(model, progress).fit(iterations=15)
     except IntegrationError as error:
         raise InputError(f"{campaign.folder}: {sheet.name} cannot follow it: {error}") from None
-    count = len(model.unit)
-    shrinkage = np.sqrt(np.diag(fit.covariance)[:count])
-    result = Calibration(
-        campaign,
+    result = StrokeCalibration(
+        campaign.name,
+        counted(len(campaign.strokes), "stroke"),
         replace(sheet, entries=fresh),
-        model,
-        fit,
         channels,
         calibrated_values(sheet, model, fit),
-        tuple(n for n, s in zip(model.unit, shrinkage, strict=True) if s > MIN_SHRINKAGE),
+        tuple(quantities(model, fit)),
+        posterior(model, fit),
         {},
-        tuple(findings),
+        tuple(map(str, findings)),
+        model,
+        fit,
     )
     return result if result.good else replace(result, missing=missing_structure(model, fit))
 
@@ -225,11 +237,26 @@ def missing_structure(model: CampaignModel, fit: FitResult) -> dict[str, float]:
     return dict(list(shares.items())[:3])
 
 
-def quantities(result: Calibration) -> Iterator[tuple[str, float, float, float]]:
+def quantities(model: CampaignModel, fit: FitResult) -> Iterator[tuple[str, float, float, float]]:
     """Yield each quantity of the unit: its amount, its deviation after the fit, and the one before it."""
-    root, count = result.model.spread.root, len(result.model.unit)
-    amounts = root @ result.fit.shared[:count]
-    after = np.sqrt(np.diag(root @ result.fit.covariance[:count, :count] @ root.T))
+    root, count = model.spread.root, len(model.unit)
+    amounts = root @ fit.shared[:count]
+    after = np.sqrt(np.diag(root @ fit.covariance[:count, :count] @ root.T))
     before = np.sqrt(np.sum(root**2, axis=1))
-    for row in zip(result.model.unit, amounts, after, before, strict=True):
+    for row in zip(model.unit, amounts, after, before, strict=True):
         yield row[0], float(row[1]), float(row[2]), float(row[3])
+
+
+def posterior(model: CampaignModel, fit: FitResult) -> dict[str, Parameter]:
+    """Return the section [posterior]: the rows of the covariance of the unit's quantities."""
+    root, count = model.spread.root, len(model.unit)
+    covariance = root @ fit.covariance[:count, :count] @ root.T
+    names = [name for name in model.unit if f"posterior.{name}" in UNITS]
+    rows = [model.unit.index(name) for name in names]
+    entries = {}
+    for k, name in enumerate(names):
+        row = tuple(covariance[rows[k], rows[: k + 1]].tolist())
+        path = f"posterior.{name}"
+        text = f"covariance with {', '.join(names[: k + 1])}"
+        entries[path] = Parameter(row, UNITS[path], text)
+    return entries

@@ -9,11 +9,8 @@ from math import inf
 from pathlib import Path
 
 from plant.parameters import Parameter, load
-from plant.parameters.calibration import UNITS
 from sil.files.atomic import write_atomically
-from sil.files.quantity import counted
-from sil.inference.calibrate.calibration import Calibration, quantities, residuals
-from sil.inference.calibrate.values import Calibrated
+from sil.inference.calibrate.calibration import Calibration, StrokeCalibration, residuals
 from sil.inference.campaign.figures import UNITS as CHANNEL_UNITS
 from sil.inference.campaign.figures import title_of
 from sil.inference.model_file import model_file
@@ -28,8 +25,7 @@ def model_text(result: Calibration) -> str:
     It states all that differs from the shipped set `nominal`, so that no other file is needed.
     """
     nominal, given = load(), result.parameters
-    strokes = counted(len(result.campaign.strokes), "stroke")
-    source = f"calibrated on campaign {result.campaign.name}, {strokes}"
+    source = f"calibrated on {result.name}, {result.content}"
     entries = {
         path: item
         for path, item in given.entries.items()
@@ -40,12 +36,7 @@ def model_text(result: Calibration) -> str:
         text = f"{source}; {'unknown' if item is None else item.source}"
         unit = item.unit if item is not None else ""
         entries[path] = Parameter(value.value, unit, text, value.low, value.high)
-    names, covariance = result.covariance
-    for k, name in enumerate(names):
-        row = tuple(covariance[k, : k + 1].tolist())
-        columns = ", ".join(names[: k + 1])
-        path = f"posterior.{name}"
-        entries[path] = Parameter(row, UNITS[path], f"covariance with {columns}")
+    entries |= result.posterior
     sections: dict[str, dict[str, Parameter]] = {}
     for path, item in entries.items():
         section, key = path.split(".", 1)
@@ -55,12 +46,12 @@ def model_text(result: Calibration) -> str:
     return model_file(f"{source}. {result.headline}", "nominal", sections)
 
 
-def strokes_figure(result: Calibration) -> Figure:
+def strokes_figure(result: StrokeCalibration) -> Figure:
     """Return every stroke: channels measured and simulated, and residuals over their noise."""
     return Figure([_stroke(result, k) for k in result.fit.blocks])
 
 
-def _stroke(result: Calibration, k: int) -> Stack:
+def _stroke(result: StrokeCalibration, k: int) -> Stack:
     stroke = result.model.strokes[k]
     parts = residuals(result.model, {k: result.fit.blocks[k]})
     panels: list[Panel] = []
@@ -78,32 +69,25 @@ def _stroke(result: Calibration, k: int) -> Stack:
     return Stack("time, ms", panels, f"{stroke.entry.label} ({stroke.entry.file})", width=8.0)
 
 
-def write_page(result: Calibration, path: Path, again: str) -> None:
-    """Write the page of a calibration."""
-    worst = max(channel.misfit.rms for channel in result.channels.values())
+def write_page(result: Calibration, figure: Figure, path: Path, again: str) -> None:
+    """Write the page of a calibration; figure: of what was measured."""
     head = Head(
         command="calibrate",
-        name=result.campaign.name,
+        name=result.name,
         verdict="good enough" if result.good else "structure missing",
         good=result.good,
         tiles=[
-            (str(len(result.model.strokes)), "strokes"),
-            (f"{worst:.3g}", "rms over noise, held out"),
+            (result.content.split()[0], result.content.split()[1]),
+            (f"{result.worst[1]:.3g}", "rms over noise, held out"),
         ],
         again=again,
     )
-    rows = [(path, result.parameters[path], item) for path, item in scalars(result).items()]
+    rows = [(path, result.parameters[path], item) for path, item in result.scalars.items()]
     page = render(
         "calibration.html",
         head,
-        plots(strokes_figure(result)),
+        plots(figure),
         result=result,
         rows=rows,
-        quantities=list(quantities(result)),
     )
     write_atomically(path, page)
-
-
-def scalars(result: Calibration) -> dict[str, Calibrated]:
-    """Return the calibrated values that are one number with an interval, by path."""
-    return {path: item for path, item in result.values.items() if item.low is not None}

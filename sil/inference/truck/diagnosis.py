@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant.parameters import ParameterSet, load_actuator
-from sil.files.progress import Progress
+from plant.parameters import ParameterSet
 from sil.files.quantity import counted
 from sil.inference.fit import Show, no_progress
 from sil.inference.truck.causes import offered
@@ -66,19 +65,16 @@ class TruckDiagnosis:
         return float(ratio[fitter.model.recorded].mean())
 
 
-def diagnosed(
+def shifts_of_truck(
     logs: Sequence[str],
-    model: str,
+    parameters: ParameterSet,
     layout: tuple[str | None, str | None],
     skipped: Counter[str],
-    progress: Progress,
-    workers: int = 1,
-) -> TruckDiagnosis:
-    """Read the shifts of one truck's logs and judge them; `skipped` counts those left out.
+) -> tuple[list[RecordedShift], tuple[str, ...]]:
+    """Return the shifts of one truck's logs, and what is wrong in these; `skipped` counts those left out.
 
     layout: mapping file and DBC of another layout.  Raises InputError for bad files.
     """
-    parameters = load_actuator(model)
     mapping = SignalMapping(*layout) if any(layout) else None
     shifts: dict[tuple[object, ...], RecordedShift] = {}
     broken: list[str] = []
@@ -93,7 +89,7 @@ def diagnosed(
             if shifts.setdefault(what, shift) is not shift:
                 skipped["that an earlier log holds, too,"] += 1
         broken += [f"{path}: {fault}" for fault in faults]
-    return judge(list(shifts.values()), parameters, tuple(broken), progress, workers)
+    return list(shifts.values()), tuple(broken)
 
 
 def judge(
@@ -109,7 +105,7 @@ def judge(
     if len(used) < FEWEST_SHIFTS and not failed:
         text = f"{counted(len(used), 'usable shift')}; at least {FEWEST_SHIFTS} are needed to judge"
         return TruckDiagnosis("cannot_tell", tuple(used), (text, *broken))
-    noise_m, causes = rest_noise_m(used), offered(used)
+    noise_m, causes = noise_of(used, parameters), offered(used)
     stages = Stages(show)
     few = spread(used, SEARCHED_SHIFTS)
     search = Search.of(few, parameters, noise_m, causes, workers, used)
@@ -124,6 +120,13 @@ def judge(
     return TruckDiagnosis(
         verdict.kind, tuple(used), findings, noise_m, verdict, search.fitters, tuple(shown)
     )
+
+
+def noise_of(shifts: Sequence[RecordedShift], parameters: ParameterSet) -> float:
+    """Return the standard deviation of a position: of the record, and of what a calibration left [m]."""
+    path = "discrepancy.position_m"
+    left_m = parameters.value(path) if path in parameters else 0.0
+    return float(np.hypot(rest_noise_m(shifts), left_m))
 
 
 def rest_noise_m(shifts: Sequence[RecordedShift]) -> float:

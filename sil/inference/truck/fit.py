@@ -12,6 +12,7 @@ Checked by: tests/unit/sil/inference/truck/test_fit.py
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -292,12 +293,21 @@ class Fitter:
     # --- fits
 
     def improved(
-        self, fit: Fit, error_m: float, rounds: int, least: float = 0.3, fixed: bool = False
+        self,
+        fit: Fit,
+        error_m: float,
+        rounds: int,
+        least: float = 0.3,
+        fixed: bool = False,
+        kept: Sequence[int] = (),
     ) -> Fit:
-        """Return a fit after at most so many rounds of steps that each gain `least`; fixed: its size is kept."""
+        """Return a fit after at most so many rounds of steps that each gain `least`.
+
+        fixed: its size is kept; kept: columns of the truck's quantities that are.
+        """
         variance = self._variance_of(fit, error_m)
         fit = self.evaluated(fit, error_m)
-        stuck = False
+        stuck, columns = False, np.array(kept, dtype=np.int64)
         which = np.arange(len(self.model))
         for turn in range(rounds):
             side = (1.0, -1.0)[turn % 2]
@@ -305,6 +315,7 @@ class Fitter:
             system = self.system(fit, derivatives, variance)
             if fixed and fit.cause is not None:
                 system.shared[-1, -1], system.shared_gradient[-1] = 1e15, 0.0
+            system.shared[columns, columns], system.shared_gradient[columns] = 1e15, 0.0
             trials = []
             for damping in DAMPINGS:
                 moved, own = system.step(damping)
@@ -377,6 +388,8 @@ class Fitter:
         total = per_shift + _own_cost(there, fit.spread).reshape(per_shift.shape)
         unit, taken = fit.unit.copy(), np.zeros(n, dtype=np.int64)
         for column, shifts in zip(self.layout.of_trips.tolist(), trips, strict=False):
+            if not len(shifts):
+                continue  # a trip with shifts among others only
             cost = total[shifts].min(axis=2).sum(axis=0) + _tail_cost(units[:, column])
             taken[shifts] = int(np.argmin(cost))
             unit[column] = units[taken[shifts[0]], column]

@@ -1,6 +1,6 @@
 """In what healthy trucks differ, and the shifts of one truck: quantities with their priors.
 
-Those of the actuator have the parameter set's tolerances; gearbox, teeth, cone, supply and the way of a
+Those of the actuator have the parameter set's tolerances, or what a calibration leaves of them; gearbox, teeth, cone, supply and the way of a
 pulse to the log are unknown within wider limits. How much the loads of the gearbox differ from shift to
 shift is a parameter itself.
 Checked by: tests/unit/sil/inference/truck/test_simulator.py
@@ -8,7 +8,7 @@ Checked by: tests/unit/sil/inference/truck/test_simulator.py
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,7 +46,7 @@ def quantities(
     friction, jitter = (value(f"repeatability.{n}_sd") for n in ("friction", "valve_delay"))
     supply, trip_supply = (0.02, 0.02) if supply_is_known else (0.08, 0.1)
     unit_friction = value("repeatability.unit_friction_sd")
-    return (
+    usual = (
         Quantity("friction", "friction of stay and pistons", "-", unit_friction, friction),
         Quantity("rise", "opening delay", "s", delay, jitter),
         Quantity("fall", "closing delay", "s", 3.0 * delay, jitter),
@@ -70,6 +70,13 @@ def quantities(
             for k in range(trips if trips > 1 else 0)
         ),
     )
+    # of a calibrated truck
+    known = {
+        item.name: value(f"posterior_truck.{item.name}")
+        for item in usual
+        if f"posterior_truck.{item.name}" in parameters
+    }
+    return tuple(replace(item, unit_sd=known.get(item.name, item.unit_sd)) for item in usual)
 
 
 class Layout:

@@ -99,14 +99,7 @@ class Search:
     def run(self, show: Show = no_progress) -> list[Fit]:
         """Return all hypotheses that were fitted in full, the healthy ones among them."""
         stages = Stages(show)
-        supplies = SUPPLIES if self._supply_varies() else KNOWN_SUPPLIES
-        starts = [(True, supply) for supply in supplies] + [(False, 0.0)]
-        fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
-        fits.sort(key=lambda fit: -fit.evidence)
-        if not self.is_explained(fits[0]):
-            again = [(fits[0], seed) for seed in HEALTHY_SEEDS]
-            fits += spread_out(self._full, again, self.workers, stages.until(20.0))
-            fits.sort(key=lambda fit: -fit.evidence)
+        fits = self.healthy_fits(stages)
         healthy = fits[0]
         gains = gains_of(self.fitters[healthy.mounted], healthy, self.causes)
         near = self._near(healthy, gains, stages)
@@ -140,6 +133,18 @@ class Search:
             full += spread_out(self._at_size, sizes, self.workers, stages.until(95.0))
         leading = _best_of(full, LEADING, lambda fit: -fit.evidence, np.inf)
         return fits + full + spread_out(self._without, leading, self.workers, stages.until(98.0))
+
+    def healthy_fits(self, stages: Stages) -> list[Fit]:
+        """Return fits of a healthy truck from several supplies and mountings, the best first."""
+        supplies = SUPPLIES if self._supply_varies() else KNOWN_SUPPLIES
+        starts = [(True, supply) for supply in supplies] + [(False, 0.0)]
+        fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
+        fits.sort(key=lambda fit: -fit.evidence)
+        if not self.is_explained(fits[0]):
+            again = [(fits[0], seed) for seed in HEALTHY_SEEDS]
+            fits += spread_out(self._full, again, self.workers, stages.until(20.0))
+            fits.sort(key=lambda fit: -fit.evidence)
+        return fits
 
     def on_all(
         self,

@@ -1,0 +1,187 @@
+"""`calibrate LOG...`: from the shifts in a healthy truck's logs to a model of that truck.
+
+The healthy truck of a diagnosis, fitted; every third shift held out in turn shows what it leaves. Loads,
+supply and the way of a pulse to the log differ from trip to trip: a calibration does not carry them over.
+Checked by: tests/unit/sil/inference/calibrate/test_logs.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import exp
+from pathlib import Path
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.kernel.layout import LENGTH
+from plant.parameters import Number, Parameter, ParameterSet
+from plant.parameters.calibration import OF_TRUCK, UNITS
+from sil.files.quantity import counted
+from sil.inference.calibrate.calibration import FOLDS, Calibration, HeldOut
+from sil.inference.calibrate.values import Calibrated, actuator_values
+from sil.inference.evidence import ChannelMisfit
+from sil.inference.fit import Show, no_progress
+from sil.inference.truck.diagnosis import MOST_SHIFTS, SEARCHED_SHIFTS, noise_of
+from sil.inference.truck.fit import FINE_M, FIRST_FACTOR, MIDDLE_M, PULSE_S, Fit, Fitter
+from sil.inference.truck.search import Search, spread
+from sil.inference.truck.simulator import ShiftModel, trips_of
+from sil.inference.workers import Stages
+from sil.log_replay.recorded_shifts import LEAD_S, RecordedShift
+from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
+
+FEWEST_SHIFTS = 6
+OF_GEARBOX = {"linkage": "truck.F_gearbox", "mass": "truck.m_gearbox"}
+
+
+@dataclass(frozen=True)
+class TruckCalibration(Calibration):
+    """A truck calibrated on the shifts of its logs; fit: of them all."""
+
+    fitter: Fitter
+    fit: Fit
+
+
+def calibrate_truck(
+    shifts: Sequence[RecordedShift],
+    parameters: ParameterSet,
+    name: str,
+    show: Show = no_progress,
+    workers: int = 1,
+) -> TruckCalibration:
+    """Fit a healthy truck to its shifts.
+
+    parameters: the data sheet. Raises InputError for too few shifts, shifts that failed, and a rig
+    without a gearbox.
+    """
+    if len(shifts) < FEWEST_SHIFTS:
+        raise InputError(
+            f"{name}: {counted(len(shifts), 'shift')}; expected at least {FEWEST_SHIFTS}, "
+            "better twelve, into and out of both gears"
+        )
+    if failed := sum(shift.failed for shift in shifts):
+        what = f"{counted(failed, 'shift')} did not reach the gear"
+        raise InputError(f"{name}: {what}; expected the logs of a healthy truck")
+    fresh = {p: item for p, item in parameters.entries.items() if p not in UNITS}
+    sheet = replace(parameters, entries=fresh)
+    used, stages = spread(shifts, MOST_SHIFTS), Stages(show)
+    few, noise_m = spread(used, SEARCHED_SHIFTS), noise_of(used, sheet)
+    search = Search.of(few, sheet, noise_m, (), workers, used)
+    fits = search.healthy_fits(stages)[:1]
+    if len(used) > len(few):
+        search, fits = search.on_all(used, sheet, noise_m, fits, stages.until(60.0))
+    fit = fits[0]
+    if not fit.mounted:
+        raise InputError(f"{name}: shifts of a rig without gearbox; expected those of a truck")
+    fitter = search.fitters[True]
+    held_out = _held_out(fitter, fit, stages.until(100.0))
+    if held_out.discrepancy > 0.0:
+        path = "discrepancy.position_m"
+        fresh[path] = Parameter(held_out.discrepancy, UNITS[path], "rms on held-out shifts")
+    return TruckCalibration(
+        name,
+        counted(len(used), "shift"),
+        replace(sheet, entries=fresh),
+        {"position_m": held_out},
+        _values(fitter, fit, sheet),
+        tuple(row for row in _quantities(fitter, fit) if row[0] in OF_TRUCK),
+        {
+            f"posterior_truck.{label}": Parameter(after, OF_TRUCK[label], "standard deviation")
+            for label, _, after, _ in _quantities(fitter, fit)
+            if label in OF_TRUCK
+        },
+        {},
+        (),
+        fitter,
+        fit,
+    )
+
+
+def _quantities(fitter: Fitter, fit: Fit) -> Iterator[tuple[str, float, float, float]]:
+    """Yield each quantity of the truck: its amount, its deviation after the fit, and the one before it."""
+    assert fit.unit_sd is not None
+    for item, unit, sd in zip(fitter.layout.own, fit.unit, fit.unit_sd, strict=True):
+        yield item.name, float(unit) * item.unit_sd, float(sd) * item.unit_sd, item.unit_sd
+
+
+def _values(fitter: Fitter, fit: Fit, sheet: ParameterSet) -> dict[str, Calibrated]:
+    """Return by path what a fit makes of the data sheet, with 95 % intervals."""
+    rows = {name: (amount, sd) for name, amount, sd, _ in _quantities(fitter, fit)}
+    values: dict[str, Calibrated] = {}
+    for name in OF_TRUCK:
+        amount, half = rows[name][0], 1.96 * rows[name][1]
+        ends = []
+        for size in (amount, amount - half, amount + half):
+            if (path := OF_GEARBOX.get(name)) is not None:
+                moved: dict[str, Number] = {path: sheet.value(path) * exp(size)}
+            else:
+                moved = actuator_values(sheet, {name: size}, {LENGTH})
+            ends.append(moved)
+        here, low, high = ends
+        for path, value in here.items():
+            if low[path] == high[path]:
+                continue
+            if isinstance(value, tuple):
+                values[path] = Calibrated(value)
+            else:
+                values[path] = Calibrated(value, float(low[path]), float(high[path]))  # type: ignore[arg-type]
+    return values
+
+
+def _held_out(fitter: Fitter, fit: Fit, show: Show) -> HeldOut:
+    """Return what the model leaves of shifts that it was not fitted to, every shift once.
+
+    Their loads and the supply of their trip are fitted; the truck and the way to its log are kept.
+    """
+    model, trips = fitter.model, trips_of(fitter.model.shifts)
+    of_trip = {name for name in fitter.layout.at if name.startswith("supply_")}
+    kept = [k for name, k in fitter.layout.at.items() if name not in {*of_trip, "supply"}]
+    off, ratio = [], []
+    for fold in range(FOLDS):
+        rows = np.arange(len(model)) % FOLDS == fold
+
+        def part(which: np.ndarray) -> Fitter:
+            shifts = [model.shifts[k] for k in np.flatnonzero(which)]
+            return Fitter(
+                ShiftModel(shifts, model.parameters, model.mounted, trips), fitter.noise_m
+            )
+
+        training, rest = part(~rows), part(rows)
+        trained = training.improved(replace(fit, each=fit.each[~rows]), FINE_M, 10)
+        rng = np.random.default_rng(fold)
+        start = replace(trained, each=rest.start().each, spread=np.ones_like(fit.spread))
+        out = rest.rescanned(start, MIDDLE_M, rng)
+        out = rest.improved(out, MIDDLE_M, 6, kept=kept)
+        out = rest.rescanned(replace(out, noise_factor=FIRST_FACTOR), FINE_M, rng)
+        out = rest.improved(out, FINE_M, 10, kept=kept)
+        assert out.position_m is not None
+        recorded = rest.model.recorded
+        off.append(rest.off(out.position_m)[recorded])
+        ratio.append((rest.off(out.position_m) ** 2 / rest.variance(FINE_M))[recorded])
+        show(fold + 1, FOLDS)
+    square, ratios = np.concatenate(off) ** 2, np.concatenate(ratio)
+    rms = float(np.sqrt(ratios.mean()))
+    left_m = float(np.sqrt(max(0.0, square.mean() * (1.0 - 1.0 / max(rms, 1.0) ** 2))))
+    band = float(np.sqrt(1.0 + 3.0 * np.sqrt(2.0 / len(ratios))))
+    return HeldOut(ChannelMisfit(rms, len(ratios), band), fitter.noise_m, left_m, PULSE_S)
+
+
+def shifts_figure(result: TruckCalibration) -> Figure:
+    """Return every shift: recorded, the calibrated truck, and residuals."""
+    assert result.fit.position_m is not None
+    stacks = []
+    for shift, positions_m in zip(result.fitter.model.shifts, result.fit.position_m, strict=True):
+        ms, x = MS * (shift.time_s - LEAD_S), positions_m[: len(shift.time_s)]
+        lines = [
+            Series("recorded", ms, MM * shift.position_m, "measured", "marked", width=2.0),
+            Series("calibrated", ms, MM * x, "after", width=0.9),
+        ]
+        rest = [Series("residual", ms, MM * (shift.position_m - x), "after", width=0.8)]
+        panels = [
+            Panel("position", "mm", lines, height=150),
+            Panel("recorded - model", "mm", rest, height=90, legend=False),
+        ]
+        title = f"{shift.start} to {shift.end}, {shift.begin_s:.2f} s of {Path(shift.source).name}"
+        stacks.append(Stack("time from the first command, ms", panels, title, width=5.5))
+    return Figure(stacks)
