@@ -135,6 +135,8 @@ class Fitter:
         speed = np.abs(np.gradient(self.position_m, axis=1)) / PULSE_S
         beside = np.maximum(np.roll(speed, 1, 1), np.roll(speed, -1, 1))
         self.speed_m_s: Floats = np.maximum(speed, 0.5 * beside)
+        # pulses have kinks: with slopes of its own a hypothesis is some ten in log evidence off
+        self.reference: Floats | None = None
 
     # --- costs
 
@@ -431,21 +433,28 @@ class Fitter:
         return self.with_evidence(fit)
 
     def with_evidence(self, fit: Fit) -> Fit:
-        """Return a fit with its log evidence (Laplace) and the standard deviation of its size."""
+        """Return a fit with its log evidence (Laplace) and the standard deviations of its quantities."""
         fit = self.evaluated(fit, FINE_M)
-        slopes = np.clip(self.derivatives(fit, 0.3, (1.0, -1.0)), -STEEPEST_M, STEEPEST_M)
-        system = self.system(fit, slopes, self._variance_of(fit, FINE_M), expected=True)
-        marginal = system.marginal
-        volume = np.linalg.slogdet(system.own)[1].sum() + np.linalg.slogdet(marginal)[1]
+        slopes = self.slopes(fit)
+        variance = self._variance_of(fit, FINE_M)
+        system = self.system(fit, slopes, variance, expected=True)
+        sd = np.sqrt(np.diag(np.linalg.inv(system.marginal)))
+        healthy = replace(fit, cause=None)
+        common = slopes if self.reference is None else self.reference
+        system = self.system(healthy, common, variance, expected=True)
+        volume = np.linalg.slogdet(system.own)[1].sum() + np.linalg.slogdet(system.marginal)[1]
         norm = self.count * np.log(fit.noise_factor) + 0.5 * volume
         norm += float((self.mask * np.log(fit.spread)).sum())
-        sd = np.sqrt(np.diag(np.linalg.inv(marginal)))
         size_sd = 0.0
         if fit.cause is not None:
-            norm += np.log(SIZE_SD) - (np.log(2.0) if fit.cause.sign else 0.0)
             size_sd = float(sd[-1])
+            norm += np.log(SIZE_SD / size_sd) - (np.log(2.0) if fit.cause.sign else 0.0)
         evidence = -(fit.cost + float(norm))
         return replace(fit, evidence=evidence, size_sd=size_sd, unit_sd=sd[: len(self.layout)])
+
+    def slopes(self, fit: Fit) -> Floats:
+        """Return the derivatives [shifts, pulses, quantities + 1] of which evidence is computed, in m."""
+        return np.clip(self.derivatives(fit, 0.3, (1.0, -1.0)), -STEEPEST_M, STEEPEST_M)
 
     def profile(self, fit: Fit) -> tuple[float, float]:
         """Return the 95 % interval of the size: where the cost, refitted at other sizes, has risen by 2."""

@@ -43,7 +43,7 @@ SUPPLIES: Final = (0.0, -0.18, -0.09, 0.09)
 KNOWN_SUPPLIES: Final = (0.0, 0.02)
 """... and where the log states it."""
 FIRST_SIZES: Final = (1.5, 5.0, 15.0)
-LATER_SIZES: Final = (0.6, 0.8, 1.25, 2.0)
+LATER_SIZES: Final = (0.8, 1.25)
 """Factors on the leading cause's size that are tried."""
 MOST_VARIANTS: Final = 2
 """Variants of an effect that a first look takes."""
@@ -53,7 +53,7 @@ HOPELESS: Final = 40.0
 """Cost behind the best of its kind from which a coarse fit is not continued."""
 CROSSED: Final = 8
 """Causes that are fitted again in the truck of the leading one."""
-CONTESTING, CONTEST = 3, 25.0
+CONTESTING, CONTEST = 12, 15.0
 """Causes that are fitted at other sizes, and log evidence behind the first within which they are."""
 LEAST_GAIN: Final = 1.5
 """Log evidence that a cause gains at least, by secants, to be fitted."""
@@ -144,7 +144,15 @@ class Search:
             again = [(fits[0], seed) for seed in HEALTHY_SEEDS]
             fits += spread_out(self._full, again, self.workers, stages.until(20.0))
             fits.sort(key=lambda fit: -fit.evidence)
-        return fits
+        return self._with_reference(fits)
+
+    def _with_reference(self, fits: list[Fit]) -> list[Fit]:
+        """Return healthy fits, the best first, with evidence by the slopes that all hypotheses share."""
+        for mounted, fitter in self.fitters.items():
+            like = [fit for fit in fits if fit.mounted is mounted]
+            fitter.reference = fitter.slopes(min(like, key=lambda fit: fit.cost))
+        fits = [self.fitters[fit.mounted].with_evidence(fit) for fit in fits]
+        return sorted(fits, key=lambda fit: -fit.evidence)
 
     def on_all(
         self,
