@@ -59,6 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--out {out or 'missing'}: expected the name of a .toml file to write")
     if out.exists() and not arguments.force:
         raise InputError(f"{out}: exists; expected a new file, or --force")
+    for item in map(Path, arguments.campaign):
+        if item.suffix == ".toml" and item.is_file():
+            raise InputError(f"{item}: is a .toml file; expected a campaign folder, or CAN logs")
     if Path(arguments.campaign[0]).is_file():
         result, figure = _of_logs(arguments)
     else:

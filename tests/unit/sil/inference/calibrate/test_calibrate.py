@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from plant.parameters import ParameterSet, load
 from sil.campaign.campaign import load_campaign
-from sil.inference.calibrate.calibration import Calibration, calibrate
-from sil.inference.calibrate.output import model_text, write_page
+from sil.inference.calibrate.calibration import StrokeCalibration, calibrate
+from sil.inference.calibrate.output import model_text, strokes_figure, write_page
 from sil.inference.spread import Spread
 from tests.conftest import ROOT, run_opc4
 
@@ -26,25 +27,25 @@ TRUTH = {
 
 
 @pytest.fixture(scope="module")
-def calibrated() -> Calibration:
+def calibrated() -> StrokeCalibration:
     return calibrate(load_campaign(EXAMPLE / "healthy"), load(str(EXAMPLE / "data_sheet.toml")))
 
 
 @pytest.fixture(scope="module")
-def mine(calibrated: Calibration, tmp_path_factory: pytest.TempPathFactory) -> ParameterSet:
+def mine(calibrated: StrokeCalibration, tmp_path_factory: pytest.TempPathFactory) -> ParameterSet:
     path = tmp_path_factory.mktemp("calibrated") / "mine.toml"
     path.write_text(model_text(calibrated), encoding="utf-8")
     return load(str(path))
 
 
-def test_values_come_near_the_truth_from_a_wrong_data_sheet(calibrated: Calibration) -> None:
+def test_values_come_near_the_truth_from_a_wrong_data_sheet(calibrated: StrokeCalibration) -> None:
     for path, true in TRUTH.items():
         assert calibrated.values[path].value == pytest.approx(true, rel=0.06), path
     assert "flow_in" not in calibrated.undetermined
 
 
 def test_what_another_structure_leaves_is_in_the_verdict_and_the_file(
-    calibrated: Calibration, mine: ParameterSet
+    calibrated: StrokeCalibration, mine: ParameterSet
 ) -> None:
     assert calibrated.good and "wider" in calibrated.headline
     left = calibrated.channels["position_m"]
@@ -53,21 +54,25 @@ def test_what_another_structure_leaves_is_in_the_verdict_and_the_file(
 
 
 def test_the_file_stands_alone_and_keeps_how_well_each_value_is_known(
-    calibrated: Calibration, mine: ParameterSet
+    calibrated: StrokeCalibration, mine: ParameterSet
 ) -> None:
     assert mine.value("cylinder.coulomb") == calibrated.values["cylinder.coulomb"].value
-    names, covariance = calibrated.covariance
+    names = tuple(name for name, *_ in calibrated.changes if f"posterior.{name}" in mine)
     spread = Spread.of(mine)
     assert tuple(spread.unit) == (*names, "supply") and spread.unit["supply"] == 0.01
-    n = len(names)
-    assert (spread.root @ spread.root.T)[:n, :n] == pytest.approx(covariance, rel=1e-6, abs=1e-12)
+    covariance = spread.root @ spread.root.T
+    for k, (name, _, after, _) in enumerate(calibrated.changes[: len(names)]):
+        assert np.sqrt(covariance[k, k]) == pytest.approx(after), name
+        rows = calibrated.posterior[f"posterior.{name}"].value
+        assert covariance[k, : k + 1] == pytest.approx(rows, rel=1e-6, abs=1e-12)
     assert spread.unit["flow_in"] < 0.1 * Spread.of(calibrated.parameters).unit["flow_in"]
 
 
-def test_the_page_holds_every_stroke(calibrated: Calibration, tmp_path: Path) -> None:
-    write_page(calibrated, tmp_path / "mine.html", "opc4 calibrate healthy --out mine.toml")
+def test_the_page_holds_every_stroke(calibrated: StrokeCalibration, tmp_path: Path) -> None:
+    figure = strokes_figure(calibrated)
+    write_page(calibrated, figure, tmp_path / "mine.html", "opc4 calibrate healthy --out mine.toml")
     page = (tmp_path / "mine.html").read_text(encoding="utf-8")
-    assert all(stroke.file in page for stroke in calibrated.campaign.strokes)
+    assert all(stroke.entry.file in page for stroke in calibrated.model.strokes)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +80,10 @@ def test_the_page_holds_every_stroke(calibrated: Calibration, tmp_path: Path) ->
     [
         (["healthy"], "--out missing: expected the name of a .toml file"),
         (["healthy", "--out", "mine.json"], "--out mine.json: expected the name of a .toml file"),
-        (["data_sheet.toml", "--out", "mine.toml"], "is a file; expected a campaign folder"),
+        (
+            ["data_sheet.toml", "--out", "mine.toml"],
+            "data_sheet.toml: is a .toml file; expected a campaign folder",
+        ),
     ],
 )
 def test_wrong_arguments_are_one_line(arguments, message, tmp_path) -> None:
@@ -86,7 +94,9 @@ def test_wrong_arguments_are_one_line(arguments, message, tmp_path) -> None:
 
 
 @pytest.mark.slow
-def test_a_leak_is_found_with_the_calibrated_model(calibrated: Calibration, tmp_path: Path) -> None:
+def test_a_leak_is_found_with_the_calibrated_model(
+    calibrated: StrokeCalibration, tmp_path: Path
+) -> None:
     (tmp_path / "mine.toml").write_text(model_text(calibrated), encoding="utf-8")
     done = run_opc4(
         tmp_path, "diagnose", str(EXAMPLE / "today"), "--model", "mine.toml", "--out", "d"

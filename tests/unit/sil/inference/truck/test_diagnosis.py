@@ -10,15 +10,16 @@ import pytest
 
 from can_dbc.errors import InputError
 from plant.parameters import load
-from sil.files.progress import Progress
 from sil.inference.truck import diagnosis
-from sil.inference.truck.diagnosis import TruckDiagnosis, diagnosed, judge
+from sil.inference.truck.diagnosis import TruckDiagnosis, judge, shifts_of_truck
 from sil.log_replay.recorded_shifts import RecordedShift
 from tests.support.truck_sets import drawn_set, same_but
 
 
 def of(paths: list[str]) -> TruckDiagnosis:
-    return diagnosed(paths, "nominal", (None, None), Counter(), Progress("x"))
+    parameters = load("nominal")
+    shifts, broken = shifts_of_truck(paths, parameters, (None, None), Counter())
+    return judge(shifts, parameters, broken)
 
 
 WAITS = {"controller": {"shift": {"wait_for_sync": True}}}
@@ -91,21 +92,16 @@ def test_two_shifts_that_fail_are_judged(
     assert judge(failing, load("nominal")).kind == "unnamed"
 
 
-def test_a_log_that_is_not_whole_is_a_finding(
-    nominal_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_that_is_not_whole_is_a_finding(nominal_log: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.log"
     broken.write_text(nominal_log.read_text().replace("can0", "\x07", 1))
     skipped = Counter[str]()
-    monkeypatch.setattr(
-        diagnosis,
-        "judge",
-        lambda shifts, _p, faults, *_: TruckDiagnosis("x", tuple(shifts), faults),
+    shifts, broken_text = shifts_of_truck(
+        [str(nominal_log), str(broken)], load("nominal"), (None, None), skipped
     )
-    logs = [str(nominal_log), str(broken)]
-    found = diagnosed(logs, "nominal", (None, None), skipped, Progress("x"))
+    assert shifts
     assert skipped["that an earlier log holds, too,"] >= 4
-    (line,) = found.findings
+    (line,) = broken_text
     assert line.startswith(f"{broken}: broken and skipped: 1, the first line 1: ")
 
 
