@@ -26,7 +26,7 @@ class Circumstances:
     reports; infinite if a sensor may be wrong without looking so. true_samples: False if faults may
     change or repeat position samples. repeated_s: age of repeated reports.
     down_s: intervals in which the controller is dead or cut off. disturbed: True if faults or loads of
-    the bus may change, lose or hold back frames. slow_clock: seconds per second of the
+    the bus may change, lose or hold back frames. forced: True if valves may move the stay by themselves. slow_clock: seconds per second of the
     controller's clock.
     """
 
@@ -38,6 +38,7 @@ class Circumstances:
     repeated_s: float = 0.0
     down_s: tuple[tuple[float, float], ...] = ()
     disturbed: bool = False
+    forced: bool = False
     slow_clock: float = 1.0
 
 

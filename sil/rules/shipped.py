@@ -168,15 +168,23 @@ def _answer_s(circumstances: Circumstances, before: ControllerStatus | None, tar
 
 def _unanswered_request(record: RunRecord, circumstances: Circumstances) -> Broken:
     """Every request is answered in time, by the gear or by a fault."""
-    if circumstances.disturbed or circumstances.down_s or not circumstances.true_samples:
-        return None  # what neither side received is nobody's to answer; a false sample may begin a leg anew
+    if circumstances.disturbed or circumstances.down_s:
+        return None  # what neither side received is nobody's to answer
+    if circumstances.forced or not circumstances.true_samples:
+        return None  # a leg may begin anew at any time
     time_s = record.truth["time_s"]
     end_s = float(time_s[-1]) if len(time_s) else 0.0
     status = [(e.arrival_ns / NS_PER_S, m) for e, m in record.of(ControllerStatus)]
     times = [t for t, _ in status]
+    earlier: Gear | None = None
     for at_s, request, until_s in _request_changes(record):
         first = bisect_right(times, at_s)
         before = status[first - 1][1] if first else None
+        if earlier is not None and before is not None and not _is_answer(before, earlier):
+            before = (
+                None  # the step that takes this request may still begin the push of the earlier one
+            )
+        earlier = request.target
         latest_s = at_s + _answer_s(circumstances, before, request.target)
         if latest_s > min(until_s, end_s):
             continue

@@ -23,7 +23,7 @@ def circumstances(scenario: Scenario) -> Circumstances:
         control=scenario.controller,
         driver_timeout_s=scenario.valve_driver.timeout_s,
         late_s=math.inf if _overloaded(scenario) else _stated_delays_s(scenario),
-        sight_s=math.inf if lies else sight_s(scenario),
+        sight_s=math.inf if lies or _overloaded(scenario) else sight_s(scenario),
         true_samples=not (scenario.temperature_fault or repeats)
         and {"off", "slow", "intermittent"}.issuperset(kinds),
         repeated_s=max(
@@ -36,6 +36,7 @@ def circumstances(scenario: Scenario) -> Circumstances:
         ),
         down_s=tuple(controller_down_s(scenario)),
         disturbed=bool(faults) or scenario.bus.extra_load > 0.0,
+        forced=bool(scenario.valve_fault),
         slow_clock=1.0 / (1.0 + 1e-6 * scenario.clock.controller_ppm),
     )
 
