@@ -58,16 +58,24 @@ class _Step:
 def _steps(record: RunRecord, circumstances: Circumstances, kind: Any) -> list[_Step]:
     timeout_ns = round(_timeout_s(circumstances, kind) * NS_PER_S)
     computation_ns = circumstances.control.computation_ns * circumstances.slow_clock
-    key = kind, timeout_ns, computation_ns
+    key = kind, timeout_ns, computation_ns, circumstances.deaf_s
     if key not in record.derived:
-        record.derived[key] = list(_each_step(record, kind, timeout_ns, computation_ns))
+        record.derived[key] = list(_each_step(record, *key))
     return cast("list[_Step]", record.derived[key])
 
 
 def _each_step(
-    record: RunRecord, kind: Any, timeout_ns: int, computation_ns: float
+    record: RunRecord,
+    kind: Any,
+    timeout_ns: int,
+    computation_ns: float,
+    deaf_s: tuple[tuple[float, float], ...],
 ) -> Iterator[_Step]:
-    frames = list(record.frames_of(can_id_of(kind)))
+    frames = [
+        frame
+        for frame in record.frames_of(can_id_of(kind))
+        if not any(begin <= frame.arrival_ns / NS_PER_S <= end for begin, end in deaf_s)
+    ]
     begins = [round(f.released_ns - computation_ns) for f in record.frames_of(STATUS_ID)]
     start_ns = min(begins[:1] + [frame.arrival_ns for frame in frames[:1]], default=0)
     channel = Receiver(

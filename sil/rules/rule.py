@@ -25,7 +25,7 @@ class Circumstances:
     stated faults or loads hold a frame back. sight_s: longest time until a motion of the stay shows in the
     reports; infinite if a sensor may be wrong without looking so. true_samples: False if faults may
     change or repeat position samples. repeated_s: age of repeated reports.
-    down_s: intervals in which the controller is dead or cut off. disturbed: True if faults or loads of
+    down_s: intervals in which the controller is dead or cut off; deaf_s: in which it understands no frame. disturbed: True if faults or loads of
     the bus may change, lose or hold back frames. forced: True if valves may move the stay by themselves. slow_clock: seconds per second of the
     controller's clock.
     """
@@ -37,6 +37,7 @@ class Circumstances:
     true_samples: bool = True
     repeated_s: float = 0.0
     down_s: tuple[tuple[float, float], ...] = ()
+    deaf_s: tuple[tuple[float, float], ...] = ()
     disturbed: bool = False
     forced: bool = False
     slow_clock: float = 1.0

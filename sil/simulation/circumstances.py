@@ -7,7 +7,16 @@ from __future__ import annotations
 
 import math
 
-from sil.coupling.faults import Babbling, BusOff, Dead, Delay, Replayed, Stalled
+from sil.coupling.faults import (
+    Babbling,
+    BusFault,
+    BusOff,
+    Dead,
+    Delay,
+    OtherBitRate,
+    Replayed,
+    Stalled,
+)
 from sil.rules.rule import Circumstances
 from sil.simulation.scenario import Scenario
 
@@ -36,6 +45,9 @@ def circumstances(scenario: Scenario) -> Circumstances:
         ),
         down_s=tuple(controller_down_s(scenario)),
         disturbed=bool(faults) or scenario.bus.extra_load > 0.0,
+        deaf_s=tuple(
+            _interval_s(f) for f in faults if isinstance(f, OtherBitRate) and f.node == "controller"
+        ),
         forced=bool(scenario.valve_fault),
         slow_clock=1.0 / (1.0 + 1e-6 * scenario.clock.controller_ppm),
     )
@@ -68,8 +80,12 @@ def _overloaded(scenario: Scenario) -> bool:
 def controller_down_s(scenario: Scenario) -> list[tuple[float, float]]:
     """Return the intervals in s in which the controller is dead or cut off from the plant."""
     return [
-        (fault.start_s, math.inf if fault.end_s is None else fault.end_s)
+        _interval_s(fault)
         for fault in scenario.fault
         if (isinstance(fault, Dead | Stalled) and fault.node == "controller")
-        or (isinstance(fault, BusOff) and fault.node in ("controller", "plant"))
+        or (isinstance(fault, BusOff | OtherBitRate) and fault.node in ("controller", "plant"))
     ]
+
+
+def _interval_s(fault: BusFault) -> tuple[float, float]:
+    return fault.start_s, math.inf if fault.end_s is None else fault.end_s
