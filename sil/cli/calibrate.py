@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
                 for path, v in result.scalars.items()
             },
             "undetermined": list(result.undetermined),
-            "missing": dict(result.missing),
+            "missing": dict(result.missing or {}),
             "findings": list(result.findings),
             "model": str(out),
             "page": str(page),

@@ -63,7 +63,7 @@ class Calibration:
     name: of the data; content: how many strokes or shifts; values: what the model file states, by path;
     changes: each quantity of the unit with its amount, its deviation after the fit, and the one before
     it; posterior: what the file says of these; undetermined: quantities that stay as their priors say;
-    missing: structures that would explain what is left, and their shares of it.
+    missing: structures that would explain what is left, and their shares of it; None: not looked for.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Calibration:
     values: Mapping[str, Calibrated]
     changes: tuple[tuple[str, float, float, float], ...]
     posterior: Mapping[str, Parameter]
-    missing: Mapping[str, float]
+    missing: Mapping[str, float] | None
     findings: tuple[str, ...]
 
     @property
@@ -109,6 +109,8 @@ class Calibration:
         if self.good:
             return f"Good enough to diagnose with: {text}, and every interval is wider for it."
         text = f"Not good enough to diagnose with: {text}"
+        if self.missing is None:
+            return f"{text}; opc4 diagnose says what of it a cause explains."
         names = [f"{name} ({share:.0%})" for name, share in self.missing.items()]
         if not names:
             return f"{text}, and nothing in the catalogue explains that."

@@ -99,7 +99,7 @@ def calibrate_truck(
             f"posterior_truck.{name}": Parameter(e.after, OF_TRUCK[name], "standard deviation")
             for name, e in estimates.items()
         },
-        {},
+        None,
         (),
         fitter,
         fit,
