@@ -29,7 +29,8 @@ TAIL: Final = 4.0
 UNIT_TAIL: Final = 6.0
 """Degrees of freedom of what differs between trucks: an unusual truck is no faulty one."""
 SIZE_SD: Final = 3.0
-"""Prior standard deviation of a cause's size, in typical ones."""
+SIZE_TAIL: Final = 2.0
+"""Prior scale of a cause's size, in typical ones, and its degrees of freedom: a severe fault is no less a fault."""
 FARTHEST_SD: Final = 8.0
 """No quantity is tried farther out."""
 COARSE_M, MIDDLE_M, FINE_M = 1e-3, 1e-4, 1e-5
@@ -165,7 +166,7 @@ class Fitter:
     @staticmethod
     def unit_cost(unit: Floats, size: float = 0.0) -> float:
         """Return the cost of the truck's quantities [quantities] and a cause's size."""
-        return float(_tail_cost(unit).sum() + 0.5 * (size / SIZE_SD) ** 2)
+        return float(_tail_cost(unit).sum()) + _size_cost(size)
 
     def factor_of(self, x: Floats) -> float:
         """Return the likeliest factor of the noise that leaves positions [shifts, pulses]."""
@@ -280,7 +281,7 @@ class Fitter:
         rest, weight = self.weighted_residual(fit, variance, expected)
         by_unit, by_own = derivatives[:, :, :shared], self.own_derivatives(derivatives)
         weighted, weighted_own = by_unit * weight[..., None], by_own * weight[..., None]
-        size_prior = 1.0 / SIZE_SD**2
+        size_prior = (SIZE_TAIL + 1.0) / (SIZE_TAIL * SIZE_SD**2 + fit.size**2)
         prior = np.append((UNIT_TAIL + 1.0) / (UNIT_TAIL + fit.unit**2), size_prior)[:shared]
         value = np.append(fit.unit, fit.size)[:shared]
         turned = np.swapaxes
@@ -468,7 +469,7 @@ class Fitter:
                 if fit.size * size < 0.0:
                     size = 0.0
                 moved = self.improved(replace(moved, size=size), FINE_M, 6, least=0.1, fixed=True)
-                rise = moved.cost - fit.cost - 0.5 * (size**2 - fit.size**2) / SIZE_SD**2
+                rise = moved.cost - fit.cost - _size_cost(size) + _size_cost(fit.size)
                 if rise > 2.0:
                     share = (2.0 - last[1]) / max(rise - last[1], 1e-9)
                     last = (last[0] + (size - last[0]) * share, 2.0)
@@ -483,6 +484,11 @@ class Fitter:
 def _tail_cost(unit: Floats) -> Floats:
     """Return the cost of quantities of a truck [...] by Student's t."""
     return np.asarray(0.5 * (UNIT_TAIL + 1.0) * np.log1p(unit**2 / UNIT_TAIL))
+
+
+def _size_cost(size: float) -> float:
+    """Return the cost of a cause's size by Student's t."""
+    return float(0.5 * (SIZE_TAIL + 1.0) * np.log1p((size / SIZE_SD) ** 2 / SIZE_TAIL))
 
 
 def _own_cost(each: Floats, spread: Floats) -> Floats:

@@ -264,7 +264,8 @@ class Search:
         tried = {fit.cause for fit in full}
         for cause in self.causes:
             if cause.id in leading and cause not in tried:
-                jobs.append((replace(best, cause=cause, size=cause.clipped(best.size)), 8))
+                like = first[cause.id]
+                jobs.append((replace(like, cause=cause, size=cause.clipped(like.size)), 8))
         other = self.fitters[not best.mounted]
         jobs.append((replace(best, mounted=not best.mounted, each=best.each * other.mask), 8))
         return jobs
