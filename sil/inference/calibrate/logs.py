@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import exp
+from math import exp, inf
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from sil.inference.truck.search import Search, spread
 from sil.inference.truck.simulator import ShiftModel, trips_of
 from sil.inference.workers import Stages
 from sil.log_replay.recorded_shifts import LEAD_S, RecordedShift
-from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
+from sil.report.figure import MM, MS, Figure, Panel, Series, Span, Stack
 
 FEWEST_SHIFTS = 6
 ALIKE = 5.0
@@ -211,17 +211,20 @@ def _held_out(fitter: Fitter, fit: Fit, show: Show) -> HeldOut:
 def shifts_figure(result: TruckCalibration) -> Figure:
     """Return every shift: recorded, the calibrated truck, and residuals."""
     assert result.fit.position_m is not None
-    stacks = []
-    for shift, positions_m in zip(result.fitter.model.shifts, result.fit.position_m, strict=True):
-        ms, x = MS * (shift.time_s - LEAD_S), positions_m[: len(shift.time_s)]
+    stacks, noise_m = [], np.sqrt(result.fitter.variance(FINE_M))
+    rows = zip(result.fitter.model.shifts, result.fit.position_m, noise_m, strict=True)
+    for shift, positions_m, sd_m in rows:
+        n = len(shift.time_s)
+        ms, x = MS * (shift.time_s - LEAD_S), positions_m[:n]
         lines = [
             Series("recorded", ms, MM * shift.position_m, "measured", "marked", width=2.0),
             Series("calibrated", ms, MM * x, "after", width=0.9),
         ]
-        rest = [Series("residual", ms, MM * (shift.position_m - x), "after", width=0.8)]
+        band = Span(-inf, inf, "grid", "", -3.0, 3.0)
+        rest = [Series("residual", ms, (shift.position_m - x) / sd_m[:n], "after", width=0.8)]
         panels = [
             Panel("position", "mm", lines, height=150),
-            Panel("recorded - model", "mm", rest, height=90, legend=False),
+            Panel("residual / noise", "", rest, spans=[band], height=90, legend=False),
         ]
         title = f"{shift.start} to {shift.end}, {shift.begin_s:.2f} s of {Path(shift.source).name}"
         stacks.append(Stack("time from the first command, ms", panels, title, width=5.5))
