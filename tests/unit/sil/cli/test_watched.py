@@ -70,4 +70,6 @@ def test_a_second_interrupt_ends_code_that_does_not_answer(tmp_path: Path) -> No
         process.send_signal(signal.SIGINT)
         time.sleep(0.3)
     _, errors = process.communicate(timeout=60)
-    assert (process.returncode, errors) == (130, "opc4 run: interrupted\n")
+    assert process.returncode == 130
+    # on a busy machine the second one comes before the first has been answered
+    assert errors in ("opc4 run: interrupted\n", "opc4: interrupted\n")
