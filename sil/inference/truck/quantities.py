@@ -70,13 +70,12 @@ def quantities(
             for k in range(trips if trips > 1 else 0)
         ),
     )
-    # of a calibrated truck
-    known = {
+    calibrated = {
         item.name: value(f"posterior_truck.{item.name}")
         for item in usual
         if f"posterior_truck.{item.name}" in parameters
     }
-    return tuple(replace(item, unit_sd=known.get(item.name, item.unit_sd)) for item in usual)
+    return tuple(replace(item, unit_sd=calibrated.get(item.name, item.unit_sd)) for item in usual)
 
 
 class Layout:

@@ -98,8 +98,10 @@ def test_a_request_that_nobody_answers() -> None:
     expected = ["unconfirmed_gear", "unanswered_request"]
     assert broken(sent_otherwise(ControllerStatus, idle)) == expected
     assert broken(sent_otherwise(ControllerStatus, idle), disturbed=True) == []
-    false_samples = broken(sent_otherwise(ControllerStatus, idle), true_samples=False)
-    assert "unanswered_request" not in false_samples
+    for unreliable in ({"true_samples": False}, {"forced": True}):
+        assert "unanswered_request" not in broken(
+            sent_otherwise(ControllerStatus, idle), **unreliable
+        )
 
 
 def test_a_push_that_is_given_up_too_early() -> None:

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from can_dbc.codec import can_id_of
-from can_dbc.messages import Fault, Gear, ValveCommand
+from can_dbc.messages import ControllerStatus, Fault, Gear, ShiftState, ValveCommand
+from sil.rules import Circumstances, violations
+from sil.rules.shipped import RULES
 from sil.simulation import safety
+from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import from_table
 from tests.faults.drawn import base
@@ -94,3 +97,34 @@ def test_a_loaded_bus_and_a_drifting_clock_are_there_from_the_start() -> None:
     ):
         assert safety.fault_start_s(from_table(base("N-B") | fault, "test").scenario) == 0.0
     assert safety.fault_start_s(from_table(base("N-B"), "test").scenario) == math.inf
+
+
+def test_what_the_rules_may_know_of_faults() -> None:
+    def given(**tables: Any) -> Circumstances:
+        return circumstances(from_table(base("N-B") | tables, "test").scenario)
+
+    plain = given()
+    assert not plain.forced and plain.deaf_s == plain.down_s == () and plain.sight_s < 0.1
+    assert given(valve_fault=[{"valve": "F", "kind": "wrong", "start_s": 0.13}]).forced
+    rate = {"kind": "bit_rate", "start_s": 0.02, "end_s": 0.1}
+    assert given(fault=[rate | {"node": "controller"}]).deaf_s == ((0.02, 0.1),)
+    assert given(fault=[rate | {"node": "controller"}]).down_s == ((0.02, 0.1),)
+    assert given(fault=[rate | {"node": "driver"}]).deaf_s == ()
+    loaded = {"extra_load": 0.9, "extra_priority": 3, "send_buffer": 32}
+    assert math.isinf(given(bus=loaded).sight_s)
+
+
+def test_what_a_controller_on_another_bit_rate_missed_is_not_counted() -> None:
+    faults = [
+        {"kind": "bit_rate", "end_s": 0.1, "node": "controller"},
+        {"kind": "bus_off", "start_s": 0.03, "end_s": 0.3, "node": "driver"},
+    ]
+    table = {"name": "late", "duration_s": 0.4, "initial_gear": "neutral", "fault": faults}
+    loaded = from_table(table | {"request": [{"at_s": 0.0, "gear": "forward"}]}, "test")
+    record = run_in_memory(loaded).record
+    pushes = [m.state for _, m in record.of(ControllerStatus) if m.state is ShiftState.PUSH]
+    assert pushes  # it was heard after both faults
+    given = circumstances(loaded.scenario)
+    assert violations(record, given, RULES) == []
+    as_if_heard = violations(record, dataclasses.replace(given, deaf_s=()), RULES)
+    assert [broken.rule for broken in as_if_heard] == ["unrequested_push", "missed_loss"]
