@@ -147,10 +147,10 @@ class Search:
         return self._with_reference(fits)
 
     def _with_reference(self, fits: list[Fit]) -> list[Fit]:
-        """Return healthy fits, the best first, with evidence by the slopes that all hypotheses share."""
+        """Return fits, the best first, with evidence by the slopes of one of them, which hypotheses share."""
         for mounted, fitter in self.fitters.items():
-            like = [fit for fit in fits if fit.mounted is mounted]
-            fitter.reference = fitter.slopes(min(like, key=lambda fit: fit.cost))
+            if like := [fit for fit in fits if fit.mounted is mounted]:
+                fitter.reference = fitter.slopes(min(like, key=lambda fit: fit.cost))
         fits = [self.fitters[fit.mounted].with_evidence(fit) for fit in fits]
         return sorted(fits, key=lambda fit: -fit.evidence)
 
@@ -172,7 +172,7 @@ class Search:
             kept.append(best["healthy"])
         usual = whole.fitters[True].start()
         jobs = [(replace(fit, each=usual.each), 5) for fit in kept]
-        return whole, spread_out(whole._full, jobs, self.workers, show)
+        return whole, whole._with_reference(spread_out(whole._full, jobs, self.workers, show))
 
     def is_explained(self, fit: Fit) -> bool:
         """Return whether noise explains what a healthy truck leaves, with ordinary quantities."""
