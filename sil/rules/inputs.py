@@ -241,10 +241,15 @@ def false_position(record: RunRecord, circumstances: Circumstances) -> Broken:
     low_pass = circumstances.control.filter
     back_s = circumstances.sight_s + 2.0 * circumstances.control.e2e.position_timeout_s
     back_s += 2.5 / low_pass.fc_hz if low_pass.enabled else 0.0
-    afresh_s = math.inf  # when the estimate began that is reported
+    # when the estimate began that is reported: unknown after reports that others have hidden
+    afresh_s = math.inf
+    gap_s, before_s = 1.5 * circumstances.control.period_s * circumstances.slow_clock, -math.inf
     for step in _steps(record, circumstances, PositionPulse):
         at_s, status = step.at_s, step.status
-        if step.valid_s < at_s or math.isinf(afresh_s):
+        follows, before_s = at_s - before_s <= gap_s, at_s
+        if step.valid_s >= at_s and not follows:
+            afresh_s = -math.inf
+        elif step.valid_s < at_s or afresh_s == math.inf:
             afresh_s = at_s if step.valid_s >= at_s and step.arrived else math.inf
         unseen = status.faults & UNSEEN or status.state is ShiftState.INIT
         latched = (

@@ -12,6 +12,7 @@ import pytest
 from can_dbc.codec import can_id_of
 from can_dbc.messages import ControllerStatus, Fault, Gear, ShiftState, ValveCommand
 from sil.rules import Circumstances, violations
+from sil.rules.reports import sent
 from sil.rules.shipped import RULES
 from sil.simulation import safety
 from sil.simulation.circumstances import circumstances
@@ -128,3 +129,27 @@ def test_what_a_controller_on_another_bit_rate_missed_is_not_counted() -> None:
     assert violations(record, given, RULES) == []
     as_if_heard = violations(record, dataclasses.replace(given, deaf_s=()), RULES)
     assert [broken.rule for broken in as_if_heard] == ["unrequested_push", "missed_loss"]
+
+
+def test_an_estimate_whose_past_a_forger_hides_is_judged_by_all_its_past() -> None:
+    table = {
+        "name": "forged",
+        "duration_s": 0.5,
+        "initial_gear": "neutral",
+        "request": [{"at_s": 0.12, "gear": "forward"}, {"at_s": 0.204, "gear": "neutral"}],
+        "plant": {"pull_force_n": 688.0},
+        "fault": [
+            {
+                "kind": "spoofed",
+                "message": "ControllerStatus",
+                "start_s": 0.0,
+                "end_s": 0.38,
+                "period_s": 0.001,
+            }
+        ],
+    }
+    loaded = from_table(table, "test")
+    record = run_in_memory(loaded).record
+    overshoots_m = [status.estimate_m for _, status in sent(record, ControllerStatus)]
+    assert max(overshoots_m) > 0.0016  # of its low-pass filter, after the step from the gear
+    assert violations(record, circumstances(loaded.scenario), RULES) == []
