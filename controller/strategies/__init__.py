@@ -13,7 +13,7 @@ from can_dbc.errors import InputError, unknown_name
 from can_dbc.messages import Chamber, Gear
 from can_dbc.typed_toml import convert
 from controller.position import Estimate
-from controller.settings import ControlConfig
+from controller.settings import ControlConfig, Settings
 
 NAMES: Mapping[str, str] = {
     "open_loop": "controller.strategies.open_loop:OpenLoop",
@@ -73,9 +73,8 @@ class Strategy(abc.ABC):
     A strategy keeps a bounded state, does bounded work per call, and reads no clock.
     """
 
-    class Parameters(Struct, frozen=True, forbid_unknown_fields=True):
-        """Settings of the strategy, from `strategy_parameters`."""
-
+    Parameters: ClassVar[type[Struct]] = Settings
+    """Of the strategy's settings, from `strategy_parameters`."""
     name: ClassVar[str]
 
     def __init__(self, config: ControlConfig, parameters: Struct) -> None:

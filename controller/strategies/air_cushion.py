@@ -5,7 +5,26 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from controller.settings import bounded
-from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, Progress, within
+from controller.strategies.into_gear import (
+    Command,
+    IntoGear,
+    IntoGearParameters,
+    PushProgress,
+    within,
+)
+
+
+class AirCushionParameters(IntoGearParameters, frozen=True):
+    """When the burst begins and how long it lasts."""
+
+    trigger_m: Annotated[float, bounded(0.0, 0.1, "m")] = 0.006
+    """Travel from neutral at which the braking is to begin."""
+    lead_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.012
+    """How far ahead the position is extrapolated."""
+    burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.015
+    """Time for which the neutral chamber is filled."""
+    keep_charging: bool = False
+    """Whether the driving chamber goes on being filled during the burst."""
 
 
 class AirCushion(IntoGear):
@@ -15,20 +34,9 @@ class AirCushion(IntoGear):
     valve. Some 4 additions, multiplications and comparisons a step.
     """
 
-    class Parameters(IntoGearParameters, frozen=True):
-        """When the burst begins and how long it lasts."""
-
-        trigger_m: Annotated[float, bounded(0.0, 0.1, "m")] = 0.006
-        """Travel from neutral at which the braking is to begin."""
-        lead_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.012
-        """How far ahead the position is extrapolated."""
-        burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.015
-        """Time for which the neutral chamber is filled."""
-        keep_charging: bool = False
-        """Whether the driving chamber goes on being filled during the burst."""
-
+    Parameters = AirCushionParameters
     name: ClassVar[str] = "air_cushion"
-    parameters: AirCushion.Parameters
+    parameters: AirCushionParameters
 
     _begun_s: float | None = None
 
@@ -36,7 +44,7 @@ class AirCushion(IntoGear):
         """Forget the burst."""
         self._begun_s = None
 
-    def decide(self, progress: Progress) -> Command:
+    def decide(self, progress: PushProgress) -> Command:
         """Push until the burst, brake during it, push again."""
         parameters = self.parameters
         if (

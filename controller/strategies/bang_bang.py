@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from can_dbc.errors import InputError
 from controller.settings import bounded
 from controller.strategies.foresight import Foresight, ForesightParameters
-from controller.strategies.into_gear import Command, Progress, within
+from controller.strategies.into_gear import Command, PushProgress, within
 
 Table = tuple[tuple[float, float], ...]
 
@@ -25,6 +25,25 @@ def stored_s(table: Table, supply_pa: float) -> float:
     return before_s
 
 
+class BangBangParameters(ForesightParameters, frozen=True):
+    """What is stored, what arrival is soft enough, and what counts as motion."""
+
+    table: Table = ((6e5, 0.002), (7e5, 0.004), (8e5, 0.002), (9e5, 0.002))
+    """Supply pressure, Pa, ascending, and time from the push to the brake command, s. Computed
+    off line for the laboratory's length stroke, today's valves and 20 ms of braking."""
+    impact_m_s: Annotated[float, bounded(0.0, 3.0, "m/s")] = 0.2
+    brake_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.02
+    """Time for which the neutral chamber is filled and the driving one is not."""
+    seen_m: Annotated[float, bounded(0.0, 0.01, "m")] = 0.0005
+    """Measured travel that counts as motion."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        pressures = [pressure_pa for pressure_pa, _ in self.table]
+        if not pressures or pressures != sorted(set(pressures)):
+            raise InputError("table: wrong order; expected ascending supply pressures")
+
+
 class BangBang(Foresight):
     """Push, and brake as late as the light model says is early enough (thesis 4.1, 4.2.1).
 
@@ -34,26 +53,9 @@ class BangBang(Foresight):
     operations: 60,000 a step at a horizon of 60 ms.
     """
 
-    class Parameters(ForesightParameters, frozen=True):
-        """What is stored, what arrival is soft enough, and what counts as motion."""
-
-        table: Table = ((6e5, 0.002), (7e5, 0.004), (8e5, 0.002), (9e5, 0.002))
-        """Supply pressure, Pa, ascending, and time from the push to the brake command, s. Computed
-        off line for the laboratory's length stroke, today's valves and 20 ms of braking."""
-        impact_m_s: Annotated[float, bounded(0.0, 3.0, "m/s")] = 0.2
-        brake_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.02
-        """Time for which the neutral chamber is filled and the driving one is not."""
-        seen_m: Annotated[float, bounded(0.0, 0.01, "m")] = 0.0005
-        """Measured travel that counts as motion."""
-
-        def __post_init__(self) -> None:
-            super().__post_init__()
-            pressures = [pressure_pa for pressure_pa, _ in self.table]
-            if not pressures or pressures != sorted(set(pressures)):
-                raise InputError("table: wrong order; expected ascending supply pressures")
-
+    Parameters = BangBangParameters
     name: ClassVar[str] = "bang_bang"
-    parameters: BangBang.Parameters
+    parameters: BangBangParameters
 
     _moved = False
     _begun_s: float | None = None
@@ -64,7 +66,7 @@ class BangBang(Foresight):
         self._moved = False
         self._begun_s = None
 
-    def decide(self, progress: Progress) -> Command:
+    def decide(self, progress: PushProgress) -> Command:
         """Note whether motion has been measured, then plan."""
         self._moved = self._moved or progress.travelled_m >= self.parameters.seen_m
         return super().decide(progress)

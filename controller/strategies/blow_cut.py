@@ -9,6 +9,15 @@ from controller.settings import Settings, bounded
 from controller.strategies.open_loop import OpenLoop
 
 
+class BlowCutParameters(Settings, frozen=True):
+    """How long the blow still lasts, in either case at most as configured."""
+
+    neutral_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.0
+    """After neutral is confirmed on the way to a gear."""
+    otherwise_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.25
+    """After a shift has ended, in gear or in neutral."""
+
+
 class BlowCut(OpenLoop):
     """Open loop whose blow on neutral ends early when a gear is to follow (thesis 6.1).
 
@@ -16,16 +25,9 @@ class BlowCut(OpenLoop):
     50-100 ms; it also cushions that engagement. No arithmetic but a choice of duty.
     """
 
-    class Parameters(Settings, frozen=True):
-        """How long the blow still lasts, in either case at most as configured."""
-
-        neutral_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.0
-        """After neutral is confirmed on the way to a gear."""
-        otherwise_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.25
-        """After a shift has ended, in gear or in neutral."""
-
+    Parameters = BlowCutParameters
     name: ClassVar[str] = "blow_cut"
-    parameters: BlowCut.Parameters
+    parameters: BlowCutParameters
 
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
         """Return the shorter of the configured blow and this strategy's."""

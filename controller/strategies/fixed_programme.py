@@ -5,7 +5,22 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from controller.settings import bounded
-from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, Progress, within
+from controller.strategies.into_gear import (
+    Command,
+    IntoGear,
+    IntoGearParameters,
+    PushProgress,
+    within,
+)
+
+
+class FixedProgrammeParameters(IntoGearParameters, frozen=True):
+    """Begins and lengths, in seconds since the push began; the nearest steps act for them."""
+
+    rest_begin_s: Annotated[float, bounded(0.0, 0.5, "s")] = 0.0
+    rest_s: Annotated[float, bounded(0.0, 0.3, "s")] = 0.0
+    brake_begin_s: Annotated[float, bounded(0.0, 0.5, "s")] = 0.0
+    brake_s: Annotated[float, bounded(0.0, 0.3, "s")] = 0.0
 
 
 class FixedProgramme(IntoGear):
@@ -14,21 +29,14 @@ class FixedProgramme(IntoGear):
     At most 20 operations a step.
     """
 
-    class Parameters(IntoGearParameters, frozen=True):
-        """Begins and lengths, in seconds since the push began; the nearest steps act for them."""
-
-        rest_begin_s: Annotated[float, bounded(0.0, 0.5, "s")] = 0.0
-        rest_s: Annotated[float, bounded(0.0, 0.3, "s")] = 0.0
-        brake_begin_s: Annotated[float, bounded(0.0, 0.5, "s")] = 0.0
-        brake_s: Annotated[float, bounded(0.0, 0.3, "s")] = 0.0
-
+    Parameters = FixedProgrammeParameters
     name: ClassVar[str] = "fixed_programme"
-    parameters: FixedProgramme.Parameters
+    parameters: FixedProgrammeParameters
 
     def reset(self) -> None:
         """Nothing is remembered."""
 
-    def decide(self, progress: Progress) -> Command:
+    def decide(self, progress: PushProgress) -> Command:
         """Push but for the two intervals."""
         parameters, now_s = self.parameters, progress.spent_s + 0.5 * self.config.period_s
         rest = now_s >= parameters.rest_begin_s and within(

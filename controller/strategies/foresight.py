@@ -11,7 +11,7 @@ from msgspec import Struct
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.light_model import ModelSettings
 from controller.settings import ControlConfig, bounded
-from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, Progress
+from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, PushProgress
 
 
 class ForesightParameters(IntoGearParameters, frozen=True):
@@ -45,7 +45,7 @@ class Foresight(IntoGear):
         """Start the observer afresh."""
         self.observer.reset()
 
-    def decide(self, progress: Progress) -> Command:
+    def decide(self, progress: PushProgress) -> Command:
         """Bring the observer up to now, plan, and pass the choice to the observer."""
         observer = self.observer
         observer.advance(progress.spent_s, progress.travelled_m, progress.new_samples)

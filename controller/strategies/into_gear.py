@@ -18,7 +18,7 @@ class Command(NamedTuple):
     brake: bool
 
 
-class Progress(NamedTuple):
+class PushProgress(NamedTuple):
     """Late measurements of a push, from neutral towards the gear.
 
     spent_s: since the push began. new_samples: of the sensor, since the last step. apart_rad_s:
@@ -74,7 +74,7 @@ class IntoGear(Strategy):
             return one_chamber(shift.charged, self.config.duty)
         towards = 1.0 if shift.leg is Gear.BACKWARD else -1.0
         command = self.decide(
-            Progress(
+            PushProgress(
                 spent_s=spent_ns * 1e-9,
                 travelled_m=towards * estimate.position_m,
                 speed_m_s=towards * estimate.velocity_m_s,
@@ -91,5 +91,5 @@ class IntoGear(Strategy):
         )
 
     @abc.abstractmethod
-    def decide(self, progress: Progress) -> Command:
+    def decide(self, progress: PushProgress) -> Command:
         """Choose the valves for the coming period."""

@@ -34,6 +34,13 @@ def sequences(period_s: float) -> tuple[CommandTimes, ...]:
     return tuple(sequences)
 
 
+class PredictiveParameters(ForesightParameters, frozen=True):
+    """Weights of the cost."""
+
+    time_weight_m_s2: Annotated[float, bounded(0.0, 1000.0, "m/s2")] = 10.0
+    way_weight_per_s: Annotated[float, bounded(0.0, 1e5, "1/s")] = 300.0
+
+
 class Predictive(Foresight):
     """Take the first step of the sequence with the lowest cost in the light model (thesis 4.2.2).
 
@@ -41,14 +48,9 @@ class Predictive(Foresight):
     27 * horizon/0.5 ms model steps of some 75 operations: 250,000 a step at a horizon of 60 ms.
     """
 
-    class Parameters(ForesightParameters, frozen=True):
-        """Weights of the cost."""
-
-        time_weight_m_s2: Annotated[float, bounded(0.0, 1000.0, "m/s2")] = 10.0
-        way_weight_per_s: Annotated[float, bounded(0.0, 1e5, "1/s")] = 300.0
-
+    Parameters = PredictiveParameters
     name: ClassVar[str] = "predictive"
-    parameters: Predictive.Parameters
+    parameters: PredictiveParameters
 
     def __init__(self, config: ControlConfig, parameters: Struct) -> None:
         super().__init__(config, parameters)

@@ -12,8 +12,17 @@ from controller.strategies.into_gear import (
     Command,
     IntoGear,
     IntoGearParameters,
-    Progress,
+    PushProgress,
 )
+
+
+class SlidingModeParameters(IntoGearParameters, frozen=True):
+    """Surface and band."""
+
+    slope_per_s: Annotated[float, bounded(1.0, 1000.0, "1/s")] = 60.0
+    band_m_s: Annotated[float, bounded(0.0, 5.0, "m/s")] = 0.1
+    beyond_m: Annotated[float, bounded(0.0, 0.02, "m")] = 0.003
+    """The goal lies this far beyond the stop, so that the stay is pressed on at the end."""
 
 
 class SlidingMode(IntoGear):
@@ -26,21 +35,14 @@ class SlidingMode(IntoGear):
     Some 5 additions, multiplications and comparisons a step.
     """
 
-    class Parameters(IntoGearParameters, frozen=True):
-        """Surface and band."""
-
-        slope_per_s: Annotated[float, bounded(1.0, 1000.0, "1/s")] = 60.0
-        band_m_s: Annotated[float, bounded(0.0, 5.0, "m/s")] = 0.1
-        beyond_m: Annotated[float, bounded(0.0, 0.02, "m")] = 0.003
-        """The goal lies this far beyond the stop, so that the stay is pressed on at the end."""
-
+    Parameters = SlidingModeParameters
     name: ClassVar[str] = "sliding_mode"
-    parameters: SlidingMode.Parameters
+    parameters: SlidingModeParameters
 
     def reset(self) -> None:
         """Nothing to forget: the surface has no memory."""
 
-    def decide(self, progress: Progress) -> Command:
+    def decide(self, progress: PushProgress) -> Command:
         """Choose by the side of the surface."""
         parameters = self.parameters
         goal_m = self.config.windows.stroke_m + parameters.beyond_m

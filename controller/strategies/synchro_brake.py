@@ -15,9 +15,25 @@ from controller.strategies.into_gear import (
     Command,
     IntoGear,
     IntoGearParameters,
-    Progress,
+    PushProgress,
     within,
 )
+
+
+class SynchroBrakeParameters(IntoGearParameters, frozen=True):
+    """When to act before the forecast release, and for how long; when to leave it."""
+
+    brake_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.03
+    burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.005
+    rest_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.04
+    rest_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.005
+    least_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.03
+    """A release nearer than this is not braked: the counter-pressure would come after it."""
+    least_rad_s: Annotated[float, bounded(0.0, 10.0, "rad/s")] = 0.5
+    """Fall of the difference from report to report that counts as one."""
+    least_fall_rad_s2: Annotated[float, bounded(0.0, 10000.0, "rad/s2")] = 600.0
+    """Fall at the release, and twice that of now, below which the force on the synchronizer is
+    too small to be braked: the stay would not get past the dogs, nor hit its stop hard."""
 
 
 class SynchroBrake(IntoGear):
@@ -33,23 +49,9 @@ class SynchroBrake(IntoGear):
     it is the open loop.
     """
 
-    class Parameters(IntoGearParameters, frozen=True):
-        """When to act before the forecast release, and for how long; when to leave it."""
-
-        brake_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.03
-        burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.005
-        rest_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.04
-        rest_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.005
-        least_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.03
-        """A release nearer than this is not braked: the counter-pressure would come after it."""
-        least_rad_s: Annotated[float, bounded(0.0, 10.0, "rad/s")] = 0.5
-        """Fall of the difference from report to report that counts as one."""
-        least_fall_rad_s2: Annotated[float, bounded(0.0, 10000.0, "rad/s2")] = 600.0
-        """Fall at the release, and twice that of now, below which the force on the synchronizer is
-        too small to be braked: the stay would not get past the dogs, nor hit its stop hard."""
-
+    Parameters = SynchroBrakeParameters
     name: ClassVar[str] = "synchro_brake"
-    parameters: SynchroBrake.Parameters
+    parameters: SynchroBrakeParameters
 
     _release_s: float | None = None
     _brake_s: float | None = None
@@ -64,7 +66,7 @@ class SynchroBrake(IntoGear):
         self._reports.clear()
         self._release_s = self._brake_s = self._rest_s = None
 
-    def decide(self, progress: Progress) -> Command:
+    def decide(self, progress: PushProgress) -> Command:
         """Push but for the two intervals before and after the forecast release."""
         parameters = self.parameters
         # the step nearest to an instant acts for it
@@ -82,7 +84,7 @@ class SynchroBrake(IntoGear):
         rest = within(self._rest_s, now_s, parameters.rest_s)
         return Command(not rest, brake)
 
-    def _note(self, progress: Progress) -> None:
+    def _note(self, progress: PushProgress) -> None:
         """Take a new report, and forecast when the speeds will be equal."""
         if progress.apart_rad_s is None:
             self._reports.clear()
@@ -96,7 +98,7 @@ class SynchroBrake(IntoGear):
 
 
 def release_s(
-    reports: Iterable[tuple[float, float]], parameters: SynchroBrake.Parameters
+    reports: Iterable[tuple[float, float]], parameters: SynchroBrakeParameters
 ) -> float | None:
     """Return when the parabola through three reports is zero, None if it falls too little.
 

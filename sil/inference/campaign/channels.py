@@ -32,7 +32,7 @@ PLAUSIBLE = {"time_s": 0.05, "position_m": 1.0, "pressure_pa": 2e4}
 
 
 @dataclass(frozen=True)
-class Channel:
+class RecordedColumn:
     """A column of a file, its unit as written, and what it was taken for.
 
     ours: our column, empty for one that is not used; scale: factor to its unit, None where the file
@@ -63,25 +63,27 @@ def chamber_of(name: str, chambers: str) -> str:
 
 def recognise(
     columns: Mapping[str, Floats], units: Mapping[str, str], chambers: str
-) -> list[Channel]:
+) -> list[RecordedColumn]:
     """Return what each column [n] is taken for.
 
     columns: in the file's units; units: those stored apart from the names; chambers: letters of the
     rig's chambers, empty for a rig of which force and position are known.
     """
-    channels: list[Channel] = []
+    channels: list[RecordedColumn] = []
     for name, values in columns.items():
         channel = _recognised(name, values, units.get(name, ""), chambers)
         if channel.ours in {one.ours for one in channels} - {""}:
-            again = Channel(name, channel.unit, open=f"a second {channel.ours}, not used")
+            again = RecordedColumn(name, channel.unit, open=f"a second {channel.ours}, not used")
             if channel.ours == "pressure_pa" and not chambers:
-                again = Channel(name, channel.unit, "pressure_2_pa", channel.scale, channel.open)
+                again = RecordedColumn(
+                    name, channel.unit, "pressure_2_pa", channel.scale, channel.open
+                )
             channel = again
         channels.append(channel)
     return channels
 
 
-def _recognised(name: str, values: Floats, stored: str, chambers: str) -> Channel:
+def _recognised(name: str, values: Floats, stored: str, chambers: str) -> RecordedColumn:
     bare = re.split(r"[\[(/.]", name)[0 if re.search(r"[\[(/]", name) else -1].strip().lower()
     unit = stored or unit_of(name)
     if name.endswith(f"_{unit}") and unit in chambers:  # coil_N is of valve N, force_N in newtons
@@ -89,7 +91,7 @@ def _recognised(name: str, values: Floats, stored: str, chambers: str) -> Channe
         unit = unit if re.fullmatch(NAMES["force_n"], stem) else ""
     if OWN.fullmatch(name):
         scale = SCALES[unit][1] if unit in SCALES else 1.0
-        return Channel(name, unit or "SI", name, scale)
+        return RecordedColumn(name, unit or "SI", name, scale)
     ours = SCALES[unit][0] if unit in SCALES else ""
     if not ours:
         word = bare.removesuffix(f"_{unit}")
@@ -100,37 +102,37 @@ def _recognised(name: str, values: Floats, stored: str, chambers: str) -> Channe
     if ours == "cmd":
         return _command(name, unit, values, chamber_of(bare, chambers) if chambers else "")
     if OTHER.fullmatch(unit) or (ours == "time_s" and RAW.fullmatch(unit)):
-        return Channel(name, unit)
+        return RecordedColumn(name, unit)
     if ours == "time_s" and np.any(np.diff(values) < 0.0):
-        return Channel(name, unit, open="falls, so that it is no time")
+        return RecordedColumn(name, unit, open="falls, so that it is no time")
     if ours == "pressure_pa" and chambers:
         chamber = "oil2" if re.search("oil|öl", bare) else chamber_of(bare, chambers)
         if not chamber:
-            return Channel(name, unit, open="a pressure; of which chamber?")
+            return RecordedColumn(name, unit, open="a pressure; of which chamber?")
         ours = f"pressure_{chamber}_pa"
     if ours == "position_m" and chambers and re.search("intern|sensor|ecu|opc", bare):
         ours = "position_internal_m"
     if not ours or unit in SCALES:
-        return Channel(name, unit, ours, SCALES[unit][1] if ours else 1.0)
+        return RecordedColumn(name, unit, ours, SCALES[unit][1] if ours else 1.0)
     return _without_scale(name, unit, ours, values)
 
 
-def _command(name: str, unit: str, values: Floats, chamber: str) -> Channel:
+def _command(name: str, unit: str, values: Floats, chamber: str) -> RecordedColumn:
     if not chamber:
-        return Channel(name, unit, open="a valve's command? of which valve?")
+        return RecordedColumn(name, unit, open="a valve's command? of which valve?")
     if unit == "%":
-        return Channel(name, unit, f"cmd_{chamber}", 0.01)
+        return RecordedColumn(name, unit, f"cmd_{chamber}", 0.01)
     if float(values.max()) <= 1.0 and unit in ("", "-", "1"):
-        return Channel(name, unit, f"cmd_{chamber}")
-    return Channel(name, unit, f"cmd_{chamber}", None, "on above half of its largest value")
+        return RecordedColumn(name, unit, f"cmd_{chamber}")
+    return RecordedColumn(name, unit, f"cmd_{chamber}", None, "on above half of its largest value")
 
 
-def _without_scale(name: str, unit: str, ours: str, values: Floats) -> Channel:
+def _without_scale(name: str, unit: str, ours: str, values: Floats) -> RecordedColumn:
     si = next(
         iter(UNITS["pressure_pa" if ours.startswith("pressure") else ours.replace("_internal", "")])
     )
     if unit:
-        return Channel(
+        return RecordedColumn(
             name, unit, ours, None, f"if it is one: scale in {si} per {unit}, and offset?"
         )
     largest = float(np.abs(values).max())
@@ -142,11 +144,13 @@ def _without_scale(name: str, unit: str, ours: str, values: Floats) -> Channel:
         not ours.startswith("pressure") or largest >= PLAUSIBLE["pressure_pa"],
     )
     if likely:
-        return Channel(name, unit, ours, 1.0, f"no unit is stated: {si} is assumed")
-    return Channel(name, unit, ours, None, f"no unit is stated, and {si} is unlikely: scale?")
+        return RecordedColumn(name, unit, ours, 1.0, f"no unit is stated: {si} is assumed")
+    return RecordedColumn(
+        name, unit, ours, None, f"no unit is stated, and {si} is unlikely: scale?"
+    )
 
 
-def pressures(channels: list[Channel], tables: Sequence[Mapping[str, Floats]]) -> str:
+def pressures(channels: list[RecordedColumn], tables: Sequence[Mapping[str, Floats]]) -> str:
     """Return whether pressures are absolute, by unit or level, or "?" where only the user can tell.
 
     tables: columns [n] of each file, in the files' units.
@@ -164,7 +168,7 @@ def pressures(channels: list[Channel], tables: Sequence[Mapping[str, Floats]]) -
 
 
 def commands(
-    channels: list[Channel], table: Mapping[str, Floats]
+    channels: list[RecordedColumn], table: Mapping[str, Floats]
 ) -> tuple[list[str], list[list[object]]]:
     """Return which valves are on at the beginning, and each later change as time in s, valve, duty.
 

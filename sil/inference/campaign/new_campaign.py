@@ -19,7 +19,7 @@ from sil.campaign.campaign import LARGEST, Floats
 from sil.campaign.tables import Undecided, read_columns
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
-from sil.inference.campaign.channels import Channel, commands, pressures, recognise
+from sil.inference.campaign.channels import RecordedColumn, commands, pressures, recognise
 from sil.report.figure import Figure, Panel, Series, Stack
 from sil.report.picture import save
 
@@ -133,7 +133,7 @@ def _read(
     return tables, undecided
 
 
-def _questions(rig: Rig, channels: Sequence[Channel], level: str) -> Iterator[str]:
+def _questions(rig: Rig, channels: Sequence[RecordedColumn], level: str) -> Iterator[str]:
     """Yield what files of this rig do not say."""
     ours = {channel.ours for channel in channels}
     others = {"position_m": "angle_rad", "force_n": "torque_n_m"}
@@ -159,7 +159,11 @@ def _questions(rig: Rig, channels: Sequence[Channel], level: str) -> Iterator[st
 
 
 def _head(
-    name: str, rig: Rig, channels: Sequence[Channel], columns: Mapping[str, Floats], level: str
+    name: str,
+    rig: Rig,
+    channels: Sequence[RecordedColumn],
+    columns: Mapping[str, Floats],
+    level: str,
 ) -> Iterator[str]:
     """Yield the keys above the first table."""
     yield f"name = {toml_value(name)}"
@@ -175,20 +179,20 @@ def _head(
         yield f"pressures = {toml_value(level)}"
 
 
-def _is_mapped(channel: Channel) -> bool:
+def _is_mapped(channel: RecordedColumn) -> bool:
     """Return whether a channel needs a row in [columns]; commands are stated for each stroke."""
     same = channel.ours == channel.name and channel.scale == 1.0
     return bool(channel.ours) and not channel.ours.startswith("cmd_") and not same
 
 
-def _column(channel: Channel) -> str:
+def _column(channel: RecordedColumn) -> str:
     source = f"column = {toml_value(channel.name)}"
     if channel.scale is None:
         return f'{channel.ours} = {{ {source}, scale = "?", offset = 0.0 }}'
     return f"{channel.ours} = {{ {source}, scale = {channel.scale!r} }}"
 
 
-def _conditions(rig: Rig, channels: list[Channel], table: Mapping[str, Floats]) -> list[str]:
+def _conditions(rig: Rig, channels: list[RecordedColumn], table: Mapping[str, Floats]) -> list[str]:
     """Return the conditions of a stroke as its file shows them, "?" for those it does not."""
     by_name = {channel.ours: channel for channel in channels}
     position = by_name.get("position_m")
@@ -213,7 +217,7 @@ def _conditions(rig: Rig, channels: list[Channel], table: Mapping[str, Floats]) 
 
 
 def _supply_pa(
-    channels: Sequence[Channel], table: Mapping[str, Floats], charged: Sequence[str]
+    channels: Sequence[RecordedColumn], table: Mapping[str, Floats], charged: Sequence[str]
 ) -> float | str:
     """Return what a chamber shows that was charged before, "?" without one."""
     for channel in channels:
@@ -233,11 +237,13 @@ def _kind(ends_m: tuple[float, float] | None) -> str:
 
 
 def _figure(
-    files: Sequence[Path], tables: Sequence[Mapping[str, Floats]], channels: Sequence[Channel]
+    files: Sequence[Path],
+    tables: Sequence[Mapping[str, Floats]],
+    channels: Sequence[RecordedColumn],
 ) -> Figure:
     """Return every channel as it is in the files, one stack a file (of the first four)."""
     stacks = []
-    clock = next((c for c in channels if c.ours == "time_s" and c.scale), Channel(""))
+    clock = next((c for c in channels if c.ours == "time_s" and c.scale), RecordedColumn(""))
     for file, columns in list(zip(files, tables, strict=True))[:4]:
         count = len(next(iter(columns.values())))
         x = np.asarray(columns.get(clock.name, np.arange(float(count))) * (clock.scale or 1.0))

@@ -33,7 +33,7 @@ BEGINNINGS = 60
 """Random stems, of which the softest begins an attempt."""
 
 
-class Progress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SearchProgress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What one of the searches has done, as it is stored.
 
     knots_s, values [size]: its best policy; history: after each attempt the evaluations so far and, if
@@ -119,11 +119,11 @@ class Problem:
         impulses_n_s = np.linspace(low, high, round((high - low) / step_n_s) + 1)
         return Judge(self.parameters, self.timing, impulses_n_s, self._mesh_n, scatter, load)
 
-    def judged(self, policy: Progress, judge: Judge, loads: slice = slice(None)) -> Judgement:
+    def judged(self, policy: SearchProgress, judge: Judge, loads: slice = slice(None)) -> Judgement:
         """Return how a policy arrives."""
         return judge.judge(policy.policy, policy.knots_s, self.delay_s, loads)
 
-    def answering(self, policy: Progress, knots: int) -> tuple[Progress, Ints]:
+    def answering(self, policy: SearchProgress, knots: int) -> tuple[SearchProgress, Ints]:
         """Return the same policy with knots over its releases, and places [n] of unitless values that may change.
 
         One that has no answer gets pulses of no length; of a valve that may not move it has none.
@@ -139,9 +139,11 @@ class Problem:
         stem, places = places_of(self._valves, knots)
         values[np.setdiff1d(np.arange(STEM_SIZE), stem)] = NO_PULSE
         changing = np.concatenate([stem, places.ravel()])
-        return Progress(knots_s.tolist(), values.tolist()), changing
+        return SearchProgress(knots_s.tolist(), values.tolist()), changing
 
-    def after(self, progress: Progress, attempt: Progress, evaluations: int) -> Progress:
+    def after(
+        self, progress: SearchProgress, attempt: SearchProgress, evaluations: int
+    ) -> SearchProgress:
         """Return the progress after an attempt that ended in a policy."""
         worst_m_s = float(self.judged(attempt, self.judge).worst_m_s[0])
         spent = (progress.history[-1][0] if progress.history else 0) + evaluations
@@ -151,22 +153,22 @@ class Problem:
         return msgspec.structs.replace(attempt if better else progress, history=history)
 
     def begin(
-        self, rng: np.random.Generator, others: Sequence[Progress] = (), size: int = 1
-    ) -> list[Progress]:
+        self, rng: np.random.Generator, others: Sequence[SearchProgress] = (), size: int = 1
+    ) -> list[SearchProgress]:
         """Return the softest of other policies and of random stems, ascending."""
-        stems = [Progress(values=random_stem(rng).tolist()) for _ in range(BEGINNINGS)]
+        stems = [SearchProgress(values=random_stem(rng).tolist()) for _ in range(BEGINNINGS)]
         starts = [each for each in (*others, *stems) if each.values]
         few = slice(None, None, 8)
         return sorted(starts, key=lambda x: cost_m_s(self.judged(x, self.judge, few))[0])[:size]
 
-    def costs(self, policy: Progress, values: Floats, step: int) -> Floats:
+    def costs(self, policy: SearchProgress, values: Floats, step: int) -> Floats:
         """Return the costs of the values [policies, size] in place of a policy's, from load to load."""
         some = slice(None, None, step)
         return cost_m_s(self.judge.judge(values, policy.knots_s, self.delay_s, some))
 
     def cma(
-        self, progress: Progress, evaluations: int, others: Sequence[Progress] = ()
-    ) -> Progress:
+        self, progress: SearchProgress, evaluations: int, others: Sequence[SearchProgress] = ()
+    ) -> SearchProgress:
         """Return the progress after one more attempt of CMA-ES (library `cma`), with starts of its own.
 
         The first stage has four starts, of which the best goes on. others: policies of other problems,
@@ -200,7 +202,7 @@ class Problem:
             ends = [min(ends, key=lambda end: end[0])]
         return self.after(progress, ends[0][1], evaluations)
 
-    def linear(self, progress: Progress, evaluations: int) -> Progress:
+    def linear(self, progress: SearchProgress, evaluations: int) -> SearchProgress:
         """Return the progress after one more attempt of sequential linear programs, with a start of its own.
 
         Each lowers the hardest of the stops, linear in the values within a trust region [Madsen, 1975].
@@ -233,7 +235,7 @@ class Problem:
 
     def _programs(
         self,
-        policy: Progress,
+        policy: SearchProgress,
         values: Floats,
         places: Ints,
         step: int,
@@ -271,14 +273,14 @@ def softest_alone(
     mesh_n: float,
     impulse_n_s: float,
     evaluations: int,
-    others: Sequence[Progress] = (),
-) -> Progress:
+    others: Sequence[SearchProgress] = (),
+) -> SearchProgress:
     """Return the softest policy that CMA-ES finds under one load, known in advance.
 
     others: policies of other loads, to begin with.
     """
     problem = Problem(parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s))
-    progress = Progress()
+    progress = SearchProgress()
     for _ in range(4):
         progress = problem.cma(progress, evaluations // 4, [progress, *others])
     return progress

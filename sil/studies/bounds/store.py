@@ -18,32 +18,32 @@ from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
 from sil.studies.bounds.policy import ANSWER, STEM_SIZE, commands_of, edges_of
-from sil.studies.bounds.search import Problem, Progress
+from sil.studies.bounds.search import Problem, SearchProgress
 from sil.studies.policies import GEARBOX
 
 Search = Literal["cma", "linear"]
 SEARCHES: tuple[Search, ...] = get_args(Search)
 
 
-def read_progress(*folders: Path) -> dict[Search, Progress]:
+def read_progress(*folders: Path) -> dict[Search, SearchProgress]:
     """Return what each search has done so far, by the first folder that has it.
 
     Raises InputError for a file that is wrong.
     """
     paths = [folder / "policy.toml" for folder in folders]
-    stored: dict[Search, Progress] = {}
+    stored: dict[Search, SearchProgress] = {}
     for path in [path for path in paths if path.exists()][:1]:
         table = typed_toml.read_toml(path)
-        stored = typed_toml.convert(table, dict[Search, Progress], str(path))
+        stored = typed_toml.convert(table, dict[Search, SearchProgress], str(path))
         for name, each in stored.items():
             size = STEM_SIZE + 2 * sum(ANSWER.values()) * len(each.knots_s)
             if len(each.values) not in (0, size):
                 wrong = f"{name}.values: {len(each.values)} numbers; expected {size}"
                 raise InputError(f"{path}: {wrong}, for {len(each.knots_s)} knots")
-    return dict.fromkeys(SEARCHES, Progress()) | stored
+    return dict.fromkeys(SEARCHES, SearchProgress()) | stored
 
 
-def write_progress(folder: Path, progress: dict[Search, Progress]) -> None:
+def write_progress(folder: Path, progress: dict[Search, SearchProgress]) -> None:
     """Write what each search has done so far; what the values are: `sil.studies.bounds.policy`."""
     lines = []
     for name, each in progress.items():
@@ -53,7 +53,7 @@ def write_progress(folder: Path, progress: dict[Search, Progress]) -> None:
     write_atomically(folder / "policy.toml", "\n".join(lines) + "\n")
 
 
-def write_campaign(folder: Path, problem: Problem, policy: Progress) -> None:
+def write_campaign(folder: Path, problem: Problem, policy: SearchProgress) -> None:
     """Write strokes of a policy as campaign.toml, and model.toml with the delays of its valves.
 
     Strokes: for commands early, as they are and late, and each mesh force, the least and the greatest

@@ -21,7 +21,7 @@ from plant.parameters import load
 from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
 from sil.studies.bounds.judge import LATER_S, NOMINAL, SHIFTED, drawn
 from sil.studies.bounds.policy import Timing
-from sil.studies.bounds.search import Problem, Progress, softest_alone
+from sil.studies.bounds.search import Problem, SearchProgress, softest_alone
 from sil.studies.bounds.store import SEARCHES, read_progress, write_campaign, write_progress
 from sil.studies.study import Row, RowResult, Study, StudyFile, Table
 from sil.studies.table import markdown
@@ -181,7 +181,7 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
         return {"bounds.md": "\n".join(markdown(head, rows)) + "\n"}
 
 
-def judged(problem: Problem, policy: Progress) -> dict[str, float]:
+def judged(problem: Problem, policy: SearchProgress) -> dict[str, float]:
     """Return the hardest stops of a policy in each judgement, and those of the plain push.
 
     Under the draws a policy may be later than allowed; the share of such strokes is a figure of its own.
@@ -206,7 +206,7 @@ def judged(problem: Problem, policy: Progress) -> dict[str, float]:
 @cache
 def known_m_s(model: str, timing: Timing, mesh_n: float, evaluations: int) -> float:
     """Return the hardest in m/s of the softest stops found for nine loads, each known in advance."""
-    stops_m_s, last = [], list[Progress]()
+    stops_m_s, last = [], list[SearchProgress]()
     for impulse_n_s in np.linspace(18.0, 250.0, 9).tolist():
         last = [softest_alone(load(model), timing, mesh_n, impulse_n_s, evaluations, last)]
         stops_m_s.append(last[0].worst_m_s)

@@ -29,7 +29,7 @@ from sil.studies.study import Row, RowResult, Study, StudyFile, Table
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=60.0)]
 
 
-class StrokeTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class StudyStroke(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The plant alone: one stroke by a list of commands (time s, valve, duty)."""
 
     kind: Literal["fixed", "N-B", "B-N", "N-F", "F-N"]
@@ -79,7 +79,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
     """A row is one stroke of the plant alone. The default kind of a file with [stroke]."""
 
     rows_together: ClassVar[int] = 16
-    stroke: StrokeTable
+    stroke: StudyStroke
     """Stroke of the plant alone that is simulated."""
 
     def columns(self) -> tuple[str, ...]:
@@ -130,12 +130,12 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
             figures["pareto"] = pareto_figure(study, table, self._references(study, table))
         return figures | ({"curves": self._curves(study, table)} if study.size <= 12 else {})
 
-    def _stroke(self, settings: Settings) -> tuple[StrokeTable, Stroke]:
+    def _stroke(self, settings: Settings) -> tuple[StudyStroke, Stroke]:
         """Simulate a stroke; settings stroke.* change its table, all others the model."""
         changes = {path[7:]: x for path, x in settings.items() if path.startswith("stroke.")}
         model = {path: x for path, x in settings.items() if not path.startswith("stroke.")}
         table = typed_toml.convert(
-            msgspec.to_builtins(self.stroke) | changes, StrokeTable, key="stroke"
+            msgspec.to_builtins(self.stroke) | changes, StudyStroke, key="stroke"
         )
         parameters = overridden(load(self.model), model)
         if table.final_volume_m3 is not None:

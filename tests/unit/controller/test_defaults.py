@@ -27,9 +27,9 @@ from controller.settings import (
     ShiftConfig,
     WindowConfig,
 )
-from controller.strategies import NAMES, OFF, ShiftContext, Strategy, parameters
+from controller.strategies import NAMES, OFF, ShiftContext, parameters
 from controller.strategies.foresight import ForesightParameters
-from controller.strategies.into_gear import BRAKE, PUSH, REST, IntoGearParameters, Progress
+from controller.strategies.into_gear import BRAKE, PUSH, REST, IntoGearParameters, PushProgress
 from tests.conftest import ROOT
 
 DEFAULTS = json.loads((ROOT / "tests/data/firmware_defaults.json").read_text())
@@ -58,14 +58,7 @@ def test_a_strategy(name: str) -> None:
 
 KINDS = (
     *(Settings, FirmwareConfig, SensorConfig, FilterConfig, WindowConfig, BlowConfig, ShiftConfig),
-    *(
-        BroadcastConfig,
-        E2eConfig,
-        ModelSettings,
-        ObserverSettings,
-        Strategy.Parameters,
-        ForesightParameters,
-    ),
+    *(BroadcastConfig, E2eConfig, ModelSettings, ObserverSettings, ForesightParameters),
     *(IntoGearParameters, *(type(parameters(name, {})) for name in NAMES)),
 )
 
@@ -104,6 +97,6 @@ def test_the_message_of_a_value_out_of_bounds_has_its_unit(make: Any, message: s
 
 def test_commands_and_defaults_of_a_push() -> None:
     assert (PUSH, BRAKE, REST) == ((True, False), (False, True), (False, False))
-    assert Progress(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
+    assert PushProgress(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
     assert ShiftContext(Gear.NEUTRAL, Chamber.N, 0, 0)[-2:] == (None, 0)
     assert OFF == (0.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ from controller import strategies
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
 from controller.strategies import Duties, ShiftContext, Strategy, synchro_brake
-from controller.strategies.into_gear import Command, IntoGear, Progress
+from controller.strategies.into_gear import Command, IntoGear, PushProgress
 from controller.strategies.synchro_brake import SynchroBrake
 
 MS = 1_000_000
@@ -221,9 +221,9 @@ def test_what_a_braking_strategy_is_given_to_decide_on(
 ) -> None:
     strategy = new_strategy("air_cushion", patience_s=0.25)
     assert isinstance(strategy, IntoGear)
-    reported: list[Progress] = []
+    reported: list[PushProgress] = []
 
-    def decide(seen: Progress) -> Command:
+    def decide(seen: PushProgress) -> Command:
         reported.append(seen)
         return Command(True, True)
 
@@ -233,7 +233,9 @@ def test_what_a_braking_strategy_is_given_to_decide_on(
     into = push(leg)._replace(start_ns=100 * MS, apart_rad_s=-7.5, apart_ns=70 * MS)
     both = Duties(0.98, 0.98, 0.0) if sign > 0 else Duties(0.0, 0.98, 0.98)
     assert strategy.command(130 * MS, late, into) == both
-    assert reported == [Progress(pytest.approx(0.03), 0.003, 0.75, 2, 7.5, pytest.approx(-0.03))]
+    assert reported == [
+        PushProgress(pytest.approx(0.03), 0.003, 0.75, 2, 7.5, pytest.approx(-0.03))
+    ]
     assert strategy.command(350 * MS - 1, late, into) == both
     alone = Duties(0.98, 0.0, 0.0) if sign > 0 else Duties(0.0, 0.0, 0.98)
     assert strategy.command(350 * MS, late, into) == alone
@@ -301,9 +303,9 @@ def test_the_synchro_brake_s_times_are_exact_in_steps(late: int) -> None:
     strategy.reset()
     # a straight fall that ends after 8.5 steps: steps act for the half period after and before them
     for k, apart_rad_s in enumerate((34.0, 30.0, 26.0)):
-        strategy.decide(Progress(k * step_s, 0.0, 0.0, 1, apart_rad_s, k * step_s))
+        strategy.decide(PushProgress(k * step_s, 0.0, 0.0, 1, apart_rad_s, k * step_s))
     commands = {
-        k: strategy.decide(Progress(k * step_s, 0.0, 0.0, 1, 26.0, 2 * step_s))
+        k: strategy.decide(PushProgress(k * step_s, 0.0, 0.0, 1, 26.0, 2 * step_s))
         for k in range(4 + late, 12)
     }
     resting, braking = ([4, 5, 6], [6, 7]) if not late else ([], [])
@@ -354,7 +356,7 @@ def test_reports_that_stop_are_forgotten_and_begin_anew(gap: float | None) -> No
     braked = False
     for k, apart_rad_s in enumerate((72.0, gap, 52.0, 42.0, 42.0, 42.0, 42.0)):
         new = min(k, 3) * 0.01
-        braked |= strategy.decide(Progress(0.01 * k, 0.0, 0.0, 1, apart_rad_s, new)).brake
+        braked |= strategy.decide(PushProgress(0.01 * k, 0.0, 0.0, 1, apart_rad_s, new)).brake
     assert braked is (gap is not None)
 
 

@@ -20,7 +20,7 @@ from controller.settings import FilterConfig, SensorConfig
 from controller.strategies import ShiftContext, Strategy
 from controller.strategies.bang_bang import BangBang, stored_s
 from controller.strategies.foresight import Foresight, Outcome
-from controller.strategies.into_gear import Command, Progress
+from controller.strategies.into_gear import Command, PushProgress
 from controller.strategies.predictive import sequences
 
 QUICK = FirmwareConfig(
@@ -165,12 +165,12 @@ def test_bang_bang_s_times_are_exact_in_steps() -> None:
     strategy = create_strategy(config)
     assert isinstance(strategy, BangBang)
     strategy.reset()
-    commands = [strategy.decide(Progress(k * step_s, 0.0, 0.0, 0)) for k in range(8)]
+    commands = [strategy.decide(PushProgress(k * step_s, 0.0, 0.0, 0)) for k in range(8)]
     assert [k for k, command in enumerate(commands) if command.brake] == [3, 4, 5]
     assert all(command.charge is not command.brake for command in commands)
     strategy.reset()
     for travelled_m, moved in ((2.0**-11 - 2.0**-20, False), (2.0**-11, True), (0.0, True)):
-        strategy.decide(Progress(0.0, travelled_m, 0.0, 0))
+        strategy.decide(PushProgress(0.0, travelled_m, 0.0, 0))
         assert strategy._moved is moved
 
 
@@ -227,7 +227,7 @@ def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
         return Command(charge, brake)
 
     monkeypatch.setattr(strategy, "plan", plan)
-    assert strategy.decide(Progress(0.02, 0.003, 0.4, 2)) == Command(charge, brake)
+    assert strategy.decide(PushProgress(0.02, 0.003, 0.4, 2)) == Command(charge, brake)
     assert calls == [(0.02, 0.003, 2), (0.02,), (charge, brake)]
 
 

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from plant.parameters import load
 from sil.studies.bounds.policy import NO_PULSE, Timing, places_of
-from sil.studies.bounds.search import Problem, Progress, random_stem, softest_alone
+from sil.studies.bounds.search import Problem, SearchProgress, random_stem, softest_alone
 
 PARAMETERS, TODAY = load("nominal"), Timing(0.008, 0.035)
 
@@ -17,10 +17,10 @@ def test_each_search_is_softer_than_the_plain_push_and_forgets_nothing() -> None
     problem = Problem(PARAMETERS, TODAY, 0.01, (1300.0,), impulses_n_s=(100.0, 140.0))
     plain_m_s = problem.judge.plain.impact_m_s.max()
     for search in (problem.cma, problem.linear):
-        first = search(Progress(), 200)
+        first = search(SearchProgress(), 200)
         assert first.worst_m_s < plain_m_s
         assert problem.judged(first, problem.judge).worst_m_s[0] == first.worst_m_s
-        assert search(Progress(), 200) == first
+        assert search(SearchProgress(), 200) == first
         _, unused = places_of("F", len(first.knots_s))
         assert set(first.policy[0, unused.ravel()]) == {NO_PULSE}
         second = search(first, 300)
@@ -32,14 +32,14 @@ def test_linear_programs_lower_the_hardest_stop() -> None:
     quick = Timing(0.008, 0.005)
     problem = Problem(PARAMETERS, quick, 0.005, (1300.0,), impulses_n_s=(100.0, 140.0))
     (begun,) = problem.begin(np.random.default_rng(0))
-    end = problem.linear(Progress(), 900)
+    end = problem.linear(SearchProgress(), 900)
     before_m_s, after_m_s = (problem.costs(each, each.policy, 1)[0] for each in (begun, end))
     assert after_m_s < before_m_s - 0.04
 
 
 def test_more_knots_are_the_same_policy() -> None:
     problem, rng = Problem(PARAMETERS, TODAY, 0.01, (1300.0,)), np.random.default_rng(5)
-    policy, places = problem.answering(Progress(values=random_stem(rng).tolist()), 2)
+    policy, places = problem.answering(SearchProgress(values=random_stem(rng).tolist()), 2)
     values = policy.policy[0]
     values[places[-12:]] = rng.standard_normal(12)
     policy = replace(policy, values=values.tolist())

@@ -11,7 +11,7 @@ from can_dbc.errors import InputError
 from plant.parameters import load
 from plant.systems.stroke import simulate
 from sil.campaign.campaign import load_campaign
-from sil.studies.bounds.search import Progress
+from sil.studies.bounds.search import SearchProgress
 from sil.studies.bounds.store import read_progress, write_progress
 from sil.studies.load_study import shipped
 
@@ -23,7 +23,10 @@ def test_a_policy_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert policy["cma"].values
     write_progress(tmp_path, policy)
     assert read_progress(tmp_path) == policy
-    assert read_progress(tmp_path / "nothing") == {"cma": Progress(), "linear": Progress()}
+    assert read_progress(tmp_path / "nothing") == {
+        "cma": SearchProgress(),
+        "linear": SearchProgress(),
+    }
 
 
 @pytest.mark.parametrize(
