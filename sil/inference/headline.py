@@ -13,7 +13,7 @@ from sil.files.quantity import quantity
 from sil.inference.thresholds import UNNAMED
 
 if TYPE_CHECKING:
-    from sil.inference.report import Cause, Interval
+    from sil.inference.report import Interval, ReportedCause
 
 SPRING = {"stiffness": "a spring"}
 """Nouns of causes that are no effects: what would have been seen."""
@@ -51,7 +51,7 @@ def size_of(name: str, item: Interval) -> tuple[str, str]:
     return f"{sized(value, unit)}{word}", f"{low} to {high}"
 
 
-def sentence_of(cause: Cause) -> str:
+def sentence_of(cause: ReportedCause) -> str:
     """Return what a cause means, with the size of its main parameter and that one's interval."""
     name, item = next(iter(cause.parameters.items()))
     text = CATALOGUE[cause.id].sentence if cause.id in CATALOGUE else ""
@@ -88,7 +88,7 @@ def seen_sentence(sizes: Iterable[tuple[str, float, float, str]]) -> str:
     return f"{text[0].upper()}{text[1:]}"
 
 
-def headline(verdict: str, causes: Sequence[Cause], seen: str, reason: str) -> str:
+def headline(verdict: str, causes: Sequence[ReportedCause], seen: str, reason: str) -> str:
     """Return the one sentence that a reader needs first.
 
     seen: what would have been seen, as a sentence; reason: why nothing can be concluded.

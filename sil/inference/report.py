@@ -41,7 +41,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Cause:
+class ReportedCause:
     """A cause as reported: probability, parameters with intervals, one sentence of evidence."""
 
     id: str
@@ -109,7 +109,7 @@ FALSE_ALARM_LEVEL = 0.01
 def diagnosis_json(
     campaign: str,
     verdict: str,
-    causes: Sequence[Cause],
+    causes: Sequence[ReportedCause],
     findings: Sequence[object],
     false_alarm_basis: str,
     **others: Any,

@@ -52,7 +52,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Detectable:
+class DetectableSize:
     """The smallest value of a cause's main parameter that would have been claimed.
 
     others: values of its other parameters for which that holds.
@@ -94,7 +94,7 @@ def detectable(
     scores: Sequence[Score],
     gain: float,
     workers: int,
-) -> list[Detectable]:
+) -> list[DetectableSize]:
     """Return the smallest size of each cause that would gain so much in the blocks of a fit.
 
     Each cause in the form in which that is least. One that is missing would not have been noticed
@@ -102,7 +102,7 @@ def detectable(
     """
     if not scores:
         return []
-    sizes: dict[str, Detectable] = {}
+    sizes: dict[str, DetectableSize] = {}
     screening = Screening(fitter, fit)
     values = spread_out(lambda score: screening.smallest(score, gain), scores, workers)
     for score, value in zip(scores, values, strict=True):
@@ -110,7 +110,7 @@ def detectable(
             continue
         names = [parameter.name for parameter in score.candidate.parameters[1:]]
         others = dict(zip(names, score.start[1:], strict=True))
-        item = Detectable(score.candidate, value, others)
+        item = DetectableSize(score.candidate, value, others)
         before = sizes.get(score.candidate.id)
         if before is None or item.typical_sizes < before.typical_sizes:
             sizes[score.candidate.id] = item

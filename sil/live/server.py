@@ -284,10 +284,10 @@ class _Nothing(_Handler):
 @cache
 def page() -> str:
     """Return the page, complete in one file."""
-    from sil.report.plots import Group
+    from sil.report.plots import PlotGroup
     from sil.report.shell import Head, render
 
-    library = [Group("", "{}", "", True)]  # so that the shell carries uPlot and the themes
+    library = [PlotGroup("", "{}", "", True)]  # so that the shell carries uPlot and the themes
     return render("live.html", Head("live", "Live bench"), library)
 
 

@@ -32,7 +32,7 @@ from sil.log_replay.truck_replay import (
 from sil.log_replay.truck_shift import NAMES
 from sil.report.figure import Figure, Panel
 from sil.report.picture import save
-from sil.report.plots import Group, plots
+from sil.report.plots import PlotGroup, plots
 from sil.report.run_figure import with_faults
 from sil.report.shell import Head, Picture, render
 from sil.simulation.fault_marks import fault_spans
@@ -394,7 +394,7 @@ def _tiles(outcome: ReplayResult) -> list[tuple[str, str]]:
     ]
 
 
-def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[Group]]:
+def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[PlotGroup]]:
     """Return the pictures, each written into the folder, and the plots of the same figures."""
     scenes = outcome.comparison.excerpts.excerpts
     positions = outcome.plant.positions if outcome.plant is not None else []
@@ -551,7 +551,7 @@ def truck_page(
     overview = Picture(save(figures.all_shifts_figure(replay), folder, "shifts"), alt, caption)
     caption = "Recorded side and ours after the request; the engine's torque is the truck's."
     pictures: list[Picture] = []
-    groups: list[Group] = []
+    groups: list[PlotGroup] = []
     with Progress("pictures") as progress:
         for count, shift in enumerate(replay.shifts, start=1):
             figure = figures.shift_figure(replay, shift)

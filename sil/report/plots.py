@@ -22,7 +22,7 @@ DIGITS = 6
 
 
 @dataclass(frozen=True)
-class Group:
+class PlotGroup:
     """The plots of one stack, as the template `plots.html` reads them.
 
     repeated: a picture on the page shows the same, so that paper does without these plots.
@@ -34,16 +34,16 @@ class Group:
     repeated: bool
 
 
-def plots(figure: Figure, *, repeated: bool = True) -> list[Group]:
+def plots(figure: Figure, *, repeated: bool = True) -> list[PlotGroup]:
     """Return the plots of a figure, a group for each stack."""
     return [_group(stack, repeated) for stack in figure.stacks]
 
 
-def _group(stack: Stack, repeated: bool) -> Group:
+def _group(stack: Stack, repeated: bool) -> PlotGroup:
     plot = content(stack)
     stride = plot.pop("stride")
     text = json.dumps(plot, separators=(",", ":"), ensure_ascii=True)
-    return Group(
+    return PlotGroup(
         title=stack.title,
         numbers=text.replace("<", "\\u003c"),  # inside a script element, "<" could end it
         thinned=f"one point in {stride}" if stride > 1 else "",

@@ -14,7 +14,7 @@ from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
 from sil.files.quantity import quantity, unit_of
 from sil.report.picture import save
-from sil.report.plots import Group, plots
+from sil.report.plots import PlotGroup, plots
 from sil.report.run_figure import run_figure
 from sil.report.shell import Head, Picture, render
 from sil.simulation.fault_marks import fault_spans
@@ -36,7 +36,7 @@ def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def run_page(result: Result, picture: bytes | None, groups: Sequence[Group] = ()) -> str:
+def run_page(result: Result, picture: bytes | None, groups: Sequence[PlotGroup] = ()) -> str:
     """Return the page of a run; `picture` is a PNG on light paper, `groups` show the same figure."""
     plain = msgspec.to_builtins(result)
     details = {

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sil.files.quantity import limits, quantity
-from sil.report.plots import Group
+from sil.report.plots import PlotGroup
 from sil.report.theme import THEMES
 
 HERE = Path(__file__).parent
@@ -54,7 +54,7 @@ class Head:
     again: str = ""
 
 
-def render(template: str, head: Head, groups: Sequence[Group] = (), **values: Any) -> str:
+def render(template: str, head: Head, groups: Sequence[PlotGroup] = (), **values: Any) -> str:
     """Return a page: `template` extends shell.html and finds `head`, `groups` and the values."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 

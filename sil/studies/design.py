@@ -35,7 +35,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether it draws values from ranges."""
         return self.kind in ("lhs", "sobol", "radial")
 
-    def problem(self, sweeps: Sequence[Sweep]) -> str:
+    def problem(self, sweeps: Sequence[SweptValue]) -> str:
         """Return what is wrong with the design of some sweeps, empty if nothing is."""
         if self.is_drawn and self.samples < 1:
             return "design.samples: expected 1 or more"
@@ -46,7 +46,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return ""
 
 
-class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SweptValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One swept value: a list of values, or a range (for designs: its bounds).
 
     `scale` "log" spaces a range by equal ratios; "normal" makes its ends the 2.5 and 97.5 % points
@@ -122,7 +122,7 @@ class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return float(low + (high - low) * share)
 
 
-def design_size(design: Design, sweeps: Sequence[Sweep]) -> int:
+def design_size(design: Design, sweeps: Sequence[SweptValue]) -> int:
     """Return the number of points of a design without making them."""
     if design.is_drawn:
         return design.samples * (len(sweeps) + 1 if design.kind == "radial" else 1)
@@ -131,13 +131,13 @@ def design_size(design: Design, sweeps: Sequence[Sweep]) -> int:
     return combined.get(design.kind, max(counts, default=1))
 
 
-def design_points(design: Design, sweeps: Sequence[Sweep]) -> list[tuple[Value, ...]]:
+def design_points(design: Design, sweeps: Sequence[SweptValue]) -> list[tuple[Value, ...]]:
     """Return all points of a design, in a fixed order, one value for each sweep."""
     if not sweeps:
         return [()]
     if design.is_drawn:
         shares = drawn_shares(design, len(sweeps))
-        return [tuple(map(Sweep.at_share, sweeps, row)) for row in shares]
+        return [tuple(map(SweptValue.at_share, sweeps, row)) for row in shares]
     columns = [sweep.levels() for sweep in sweeps]
     if design.kind == "grid":
         return list(itertools.product(*columns))

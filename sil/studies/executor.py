@@ -25,11 +25,11 @@ from can_dbc.user_file import parse_json
 from sil.files.atomic import write_atomically
 from sil.files.worker import in_turn
 from sil.simulation.inputs import changed_inputs
-from sil.studies.study import Row, Study
+from sil.studies.study import Study, StudyRow
 from sil.studies.table import RESULTS
 
 STATE = "study.json"
-Progress = Callable[[int, int], None]
+OnProgress = Callable[[int, int], None]
 
 
 def header(study: Study) -> str:
@@ -46,7 +46,7 @@ def _csv_line(cells: Sequence[str]) -> str:
     return text.getvalue()
 
 
-def _line(study: Study, row: Row) -> str:
+def _line(study: Study, row: StudyRow) -> str:
     """Run one row and return it as CSV text; figures with all their digits, empty for NaN."""
     result = study.run(row)
     cells = [str(row.number), *row.choices]
@@ -78,7 +78,7 @@ def run_study(
     workers: int = 1,
     cluster: str | None = None,
     resume: bool = False,
-    progress: Progress = lambda done, size: None,
+    progress: OnProgress = lambda done, size: None,
 ) -> int:
     """Run the rows that are missing into folder/results.csv and return how many were run now.
 

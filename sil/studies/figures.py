@@ -11,7 +11,7 @@ from plant.parameters import load
 from sil.files import quantity
 from sil.report.figure import Band, ColourScale, Figure, Note, Panel, Series, Span, Stack
 from sil.report.theme import SERIES
-from sil.studies.design import Sweep
+from sil.studies.design import SweptValue
 from sil.studies.study import Study, Table
 from sil.studies.table import read_metrics
 
@@ -45,7 +45,7 @@ def metric_of(name: str) -> Metric:
     return Metric(name.replace("_", " "), "", 1.0)
 
 
-def sweep_metric(sweep: Sweep) -> Metric:
+def sweep_metric(sweep: SweptValue) -> Metric:
     """Return how a swept value is shown; times are in ms.
 
     Without `unit` and `label`, a parameter of the plant has its own unit and a setting that of its
@@ -135,7 +135,7 @@ def pareto_figure(
     return Figure(stacks, title_of(study), "lines: the front, nothing is better in both")
 
 
-def _lines_over(study: Study, table: Table, sweep: Sweep) -> Stack | None:
+def _lines_over(study: Study, table: Table, sweep: SweptValue) -> Stack | None:
     """Return each metric over a swept value, None where it has one value only.
 
     Where values repeat, a group of rows is a line of medians in a band from least to greatest;

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError, RunError
 from sil.files.overrides import Settings
-from sil.studies.design import MAX_ROWS, Design, Sweep, Value, design_points, design_size
+from sil.studies.design import MAX_ROWS, Design, SweptValue, Value, design_points, design_size
 
 if TYPE_CHECKING:
     from sil.report.figure import Figure
@@ -41,7 +41,7 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True)
-class Row:
+class StudyRow:
     """One run of a study: its number, the names of its choices, the values it sets."""
 
     number: int
@@ -90,7 +90,7 @@ class StudyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Python files of a user's own effects, relative to the study."""
     model: str = "nominal"
     """Parameter set or model file of the plant."""
-    sweep: list[Sweep] = []
+    sweep: list[SweptValue] = []
     """Values that are swept."""
     design: Design = Design()
     """How they are combined."""
@@ -128,7 +128,7 @@ class StudyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """Return the names of the figures of each row; "failed" is one of them."""
         raise NotImplementedError
 
-    def run(self, study: Study, row: Row) -> RowResult:
+    def run(self, study: Study, row: StudyRow) -> RowResult:
         """Run one row. Raises InputError for wrong settings, RunError if it cannot finish."""
         raise NotImplementedError
 
@@ -201,7 +201,7 @@ class Study:
             folder=path.parent,
         )
 
-    def rows(self, begin: int = 0) -> Iterator[Row]:
+    def rows(self, begin: int = 0) -> Iterator[StudyRow]:
         """Yield the rows from number `begin` on, in their fixed order."""
         combinations = list(itertools.product(*self.file.groups.values()))
         for number in range(begin, self.size):
@@ -212,9 +212,9 @@ class Study:
             for sweep, value in zip(self.file.sweep, self.points[point], strict=True):
                 settings[sweep.path] = value
             names = tuple(choice.name for choice in combinations[combination])
-            yield Row(number, names, settings)
+            yield StudyRow(number, names, settings)
 
-    def run(self, row: Row) -> RowResult:
+    def run(self, row: StudyRow) -> RowResult:
         """Run one row; one that cannot finish is returned with its reason.
 
         Raises InputError, naming the row, for settings that no model or scenario accepts.

@@ -23,7 +23,7 @@ GUARDED = {kind.__name__ for kind in PROTECTED}
 Draw = Callable[[random.Random], Any]
 
 
-class Fault(NamedTuple):
+class FaultKind(NamedTuple):
     """One fault of the vocabulary: the scenario's list, its kind, whom it hits, its record's type."""
 
     where: str
@@ -32,24 +32,26 @@ class Fault(NamedTuple):
     type: Any = None
 
 
-def _of_device(where: str, record: type, whom: Sequence[str] = ("",)) -> list[Fault]:
+def _of_device(where: str, record: type, whom: Sequence[str] = ("",)) -> list[FaultKind]:
     kinds = typing.get_args(typing.get_type_hints(record)["kind"])
-    return [Fault(where, kind, each, record) for kind in kinds for each in whom]
+    return [FaultKind(where, kind, each, record) for kind in kinds for each in whom]
 
 
 @functools.cache
-def vocabulary() -> dict[str, list[Fault]]:
+def vocabulary() -> dict[str, list[FaultKind]]:
     """Return every fault that a scenario may state, as the scenario's own types tell it, in groups."""
-    frames: list[Fault] = []
-    nodes: list[Fault] = []
-    intruders: list[Fault] = []
+    frames: list[FaultKind] = []
+    nodes: list[FaultKind] = []
+    intruders: list[FaultKind] = []
     for fault in typing.get_args(BusFault):
         kind, hints = str(fault.__struct_config__.tag), typing.get_type_hints(fault)
         if "node" in hints:
-            nodes += [Fault("fault", kind, whom, fault) for whom in typing.get_args(hints["node"])]
+            nodes += [
+                FaultKind("fault", kind, whom, fault) for whom in typing.get_args(hints["node"])
+            ]
             continue
         messages = typing.get_args(hints["message"]) if "message" in hints else ("",)
-        stated = [Fault("fault", kind, m, fault) for m in messages]
+        stated = [FaultKind("fault", kind, m, fault) for m in messages]
         if fault is FrozenCounter:  # frames without a counter are refused
             stated = [f for f in stated if f.whom in GUARDED]
         (frames if "probability" in hints else intruders).extend(stated)
@@ -61,8 +63,8 @@ def vocabulary() -> dict[str, list[Fault]]:
         "temperature": _of_device("temperature_fault", TemperatureFault),
         "speeds": _of_device("speed_fault", SpeedFault),
         "valves": _of_device("valve_fault", ValveFault, ("B", "N", "F")),
-        "bus and clocks": [Fault("bus", "load"), Fault("clock", "controller"),
-                           Fault("clock", "driver")],
+        "bus and clocks": [FaultKind("bus", "load"), FaultKind("clock", "controller"),
+                           FaultKind("clock", "driver")],
     }  # fmt: skip
 
 
@@ -112,7 +114,7 @@ def window(rng: random.Random, requests_s: Sequence[float]) -> dict[str, float]:
     return {"start_s": round(start, 4), "end_s": round(start + rng.uniform(0.01, 0.5), 4)}
 
 
-def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
+def state(table: dict[str, Any], fault: FaultKind, rng: random.Random) -> None:
     """Enter a fault into a scenario, with a window and parameters drawn at random."""
     if fault.where == "clock":
         table.setdefault("clock", {})[f"{fault.kind}_ppm"] = round(rng.uniform(-5e4, 5e4))

@@ -16,7 +16,7 @@ from sil.inference.candidate import Candidate
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.intervals import intervals
 from sil.inference.model_file import model_file
-from sil.inference.report import Cause, Interval
+from sil.inference.report import Interval, ReportedCause
 from sil.inference.thresholds import UNNAMED
 from sil.inference.verdict import Judged, Verdict
 
@@ -26,7 +26,7 @@ CLASSES = {"position": "mechanics", "oil": "damper", "pressure": "flow restricti
 
 def causes_of(
     fitter: Fitter, verdict: Verdict[Judged], judged: list[Judged], final: FitResult, workers: int
-) -> list[Cause]:
+) -> list[ReportedCause]:
     """Return the leading causes, their rivals and what has no name, most probable first."""
     causes = []
     leader = verdict.leader
@@ -37,7 +37,9 @@ def causes_of(
             what = f"{what}, depending on {form_of(candidate).on}"
         probability = verdict.probabilities[candidate.id]
         where, kind = candidate.variant, candidate.cause_class
-        causes.append(Cause(candidate.id, kind, probability, parameters, evidence, where, what))
+        causes.append(
+            ReportedCause(candidate.id, kind, probability, parameters, evidence, where, what)
+        )
 
     if final.candidates:
         intervals_by_name = intervals(fitter, final, leader.whole, workers)
@@ -61,7 +63,7 @@ def causes_of(
 
 def _without_a_name(
     verdict: Verdict[Judged], judged: Sequence[Judged], probability: float
-) -> Cause:
+) -> ReportedCause:
     """Return what no hypothesis describes: in the equation of the best term, else by channel."""
     leader = verdict.leader
     channels = leader.whole.channels
@@ -77,7 +79,7 @@ def _without_a_name(
         f"the best hypothesis, {leader.name}, leaves {leader.whole.rms:.3g} times the noise, most in "
         f"{name} ({channels[name].rms:.3g})"
     )
-    return Cause(UNNAMED, kind, probability, {}, text, "", what)
+    return ReportedCause(UNNAMED, kind, probability, {}, text, "", what)
 
 
 def includes_neutral(candidate: Candidate, parameters: Mapping[str, Interval]) -> bool:
@@ -108,7 +110,7 @@ def _evidence(
 
 
 def extended_model(
-    parameters: ParameterSet, final: FitResult, causes: Sequence[Cause], campaign: Campaign
+    parameters: ParameterSet, final: FitResult, causes: Sequence[ReportedCause], campaign: Campaign
 ) -> str:
     """Return the text of extended_model.toml: [base] and one [effect.<id>] for each claimed cause."""
     source = f"diagnosed from campaign {campaign.name}, {counted(len(campaign.strokes), 'stroke')}"

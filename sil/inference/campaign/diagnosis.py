@@ -33,8 +33,8 @@ from sil.inference.evidence import misfit
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.headline import headline, seen_sentence
 from sil.inference.refused import Refusals
-from sil.inference.report import Cause, Gain, diagnosis_json
-from sil.inference.screening import Detectable, detectable, screen
+from sil.inference.report import Gain, ReportedCause, diagnosis_json
+from sil.inference.screening import DetectableSize, detectable, screen
 from sil.inference.search import Search
 from sil.inference.spread import Spread
 from sil.inference.thresholds import LIMITS
@@ -54,7 +54,7 @@ class Diagnosis:
 
     campaign: Campaign
     verdict: Verdict[Judged]
-    causes: list[Cause]
+    causes: list[ReportedCause]
     gain: Gain
     extended: str | None
     next_experiment: NextExperiment | None
@@ -64,7 +64,7 @@ class Diagnosis:
     judged: list[Judged]
     final: FitResult
     healthy: FitResult
-    detectable: list[Detectable]
+    detectable: list[DetectableSize]
     unable: str
     refusals: Refusals
 
@@ -216,7 +216,7 @@ def left_out(
     return findings
 
 
-def _unable(sizes: Sequence[Detectable], search: Search) -> str:
+def _unable(sizes: Sequence[DetectableSize], search: Search) -> str:
     """Return why nothing can be concluded from a campaign in which nothing is found, or nothing."""
     causes = {item.id for item in search.candidates}
     shown = [item for item in sizes if item.typical_sizes < 1.0]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from plant.effects.term import TermForm
     from sil.inference.campaign.diagnosis import Diagnosis
     from sil.inference.campaign.next_experiment import NextExperiment
-    from sil.inference.campaign.observations import Channel, StrokeObservation
+    from sil.inference.campaign.observations import ObservedChannel, StrokeObservation
     from sil.inference.report import Interval
 BEFORE, AFTER = "healthy model", "extended model"
 UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
@@ -128,7 +128,7 @@ def next_figure(experiment: NextExperiment) -> Figure:
     return Figure([Stack("time, ms", panels, title, limits=_view(stroke), width=12.0)])
 
 
-def title_of(channel: Channel) -> str:
+def title_of(channel: ObservedChannel) -> str:
     """Return a channel's name as a panel's title."""
     title = channel.name.removesuffix("_m").removesuffix("_pa").replace("_", " ")
     return f"{title}, absolute" if channel.kind in ("pressure", "oil") else title

@@ -19,7 +19,7 @@ from plant.effects.tolerances import shift
 from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
 from sil.inference.campaign.internal import INTERNAL_SD_M, internal_prediction
-from sil.inference.campaign.observations import Channel, StrokeObservation
+from sil.inference.campaign.observations import ObservedChannel, StrokeObservation
 from sil.inference.campaign.split import Stratum, stratum
 from sil.inference.candidate import Candidate, is_scale, log_size, scaled_of
 from sil.inference.problem import Block, ChannelPart, Problem
@@ -331,7 +331,9 @@ def _standardised(stroke: StrokeObservation) -> Floats:
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def channel_parts(stroke: StrokeObservation, residual: Floats) -> Iterator[tuple[Channel, Floats]]:
+def channel_parts(
+    stroke: StrokeObservation, residual: Floats
+) -> Iterator[tuple[ObservedChannel, Floats]]:
     """Yield the channels of a stroke with their part [n] of its residual, in standard deviations.
 
     The control unit's position, which is after them, is left out.

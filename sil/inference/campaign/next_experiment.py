@@ -48,7 +48,7 @@ MOST = 12
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class HypothesisInformation:
     """What may be true: causes, shared parameters [shared], and the information on them so far."""
 
     name: str
@@ -57,7 +57,7 @@ class Hypothesis:
     normal: Floats
 
     @classmethod
-    def of(cls, fit: FitResult) -> Hypothesis:
+    def of(cls, fit: FitResult) -> HypothesisInformation:
         """Return the hypothesis of a fit."""
         return cls(fit.name, fit.candidates, fit.shared, fit.normal)
 
@@ -182,7 +182,7 @@ def next_experiment(
     causes: if nothing is claimed, those of which some may be hidden; confirm: ask also whether a
     cause without rivals is the next best explanation after all.
     """
-    hypotheses: list[Hypothesis]
+    hypotheses: list[HypothesisInformation]
     if verdict.rivals or (verdict.claimed and confirm):
         hypotheses, question = _between(verdict, judged)
         questions = [question] if question else []
@@ -190,9 +190,9 @@ def next_experiment(
         first, *others = (item.name for item in hypotheses)
         purpose += f"{first} from {' and '.join(others)}"
     elif not verdict.claimed and causes:
-        healthy = Hypothesis.of(verdict.healthy.training)
+        healthy = HypothesisInformation.of(verdict.healthy.training)
         enough = LIMITS.needed_gain(len(model.strokes) + MOST)
-        hidden: list[Hypothesis] = []
+        hidden: list[HypothesisInformation] = []
         for size in (1.0, 0.25):  # typical sizes; the smaller one if all are shown at the larger
             hidden = hidden or _hidden(model, healthy, causes, size, enough, workers)
         hypotheses = [healthy, *hidden]
@@ -236,7 +236,7 @@ def next_experiment(
 
 def _between(
     verdict: Verdict[Judged], judged: Sequence[Judged]
-) -> tuple[list[Hypothesis], Question | None]:
+) -> tuple[list[HypothesisInformation], Question | None]:
     """Return the leading explanations, and the question which of them is true."""
     leader = verdict.leader
     asked = {name for group in verdict.rivals for name in group}
@@ -251,7 +251,7 @@ def _between(
             is_open = len(explanations) < 2
         if is_open:
             explanations.setdefault(item.name, item)
-    hypotheses = [Hypothesis.of(item.training) for item in explanations.values()]
+    hypotheses = [HypothesisInformation.of(item.training) for item in explanations.values()]
     if len(explanations) < 2:
         return hypotheses, None
     weights = np.array(
@@ -271,17 +271,17 @@ def _whether(cause: int, enough: float) -> Question:
 
 def _hidden(
     model: CampaignModel,
-    healthy: Hypothesis,
+    healthy: HypothesisInformation,
     candidates: Sequence[Candidate],
     size: float,
     enough: float,
     workers: int,
-) -> list[Hypothesis]:
+) -> list[HypothesisInformation]:
     """Return the healthy unit with each cause that the strokes measured would not show at that size."""
     fitter = Fitter(CampaignModel(model.strokes, model.spread))
     with_cause = [healthy_with(healthy, candidate, size) for candidate in candidates]
 
-    def shown(item: Hypothesis) -> float:
+    def shown(item: HypothesisInformation) -> float:
         sums = {(1, 0): np.pad(np.eye(len(healthy.shared)), (0, 1))}
         for k in range(len(model.strokes)):
             more = separation_by(fitter, k, [healthy, item], [_whether(1, enough)])
@@ -292,7 +292,9 @@ def _hidden(
     return [item for item, d in zip(with_cause, distances, strict=True) if d < enough]
 
 
-def healthy_with(healthy: Hypothesis, candidate: Candidate, size: float) -> Hypothesis:
+def healthy_with(
+    healthy: HypothesisInformation, candidate: Candidate, size: float
+) -> HypothesisInformation:
     """Return the healthy unit with a cause, at the start of its fits that is next to `size`, in typical ones."""
 
     def scaled(start: tuple[float, ...]) -> Floats:
@@ -306,7 +308,7 @@ def healthy_with(healthy: Hypothesis, candidate: Candidate, size: float) -> Hypo
     main = candidate.parameters[0]
     name = f"{candidate.name} ({main.name} {start[0]:.3g} {main.unit})".replace(" -)", ")")
     shared = np.concatenate([healthy.shared, scaled(start)])
-    return Hypothesis(name, (candidate,), shared, healthy.normal)
+    return HypothesisInformation(name, (candidate,), shared, healthy.normal)
 
 
 Distances = dict[tuple[int, int], float]
@@ -348,7 +350,10 @@ def information(question: Question, distances: Distances) -> float:
 
 
 def separation_by(
-    fitter: Fitter, k: int, hypotheses: Sequence[Hypothesis], questions: Sequence[Question]
+    fitter: Fitter,
+    k: int,
+    hypotheses: Sequence[HypothesisInformation],
+    questions: Sequence[Question],
 ) -> Sums | None:
     """Return what stroke k would tell; None if a hypothesis cannot simulate it.
 
@@ -379,7 +384,7 @@ def separation_by(
     return sums
 
 
-def _predicted(model: CampaignModel, k: int, item: Hypothesis) -> Floats:
+def _predicted(model: CampaignModel, k: int, item: HypothesisInformation) -> Floats:
     """Return the compared numbers [n] of stroke k under a hypothesis, offsets included."""
     setup, states = model.here(k, item.shared, np.zeros(len(model.scatter)), item.candidates)
     first = len(model.unit)
@@ -387,7 +392,9 @@ def _predicted(model: CampaignModel, k: int, item: Hypothesis) -> Floats:
     return model.numbers_of(k, setup, states, rounded=True) + model.offset_columns[k] @ offsets
 
 
-def _moved(model: CampaignModel, old: CampaignModel, item: Hypothesis) -> Hypothesis:
+def _moved(
+    model: CampaignModel, old: CampaignModel, item: HypothesisInformation
+) -> HypothesisInformation:
     """Return a hypothesis among the parameters of another model, new offsets at their prior."""
     count = len(model.layout(item.candidates).effects)
     names = [*model.unit, *model.offsets]
@@ -398,13 +405,13 @@ def _moved(model: CampaignModel, old: CampaignModel, item: Hypothesis) -> Hypoth
     normal = np.eye(size)
     rows = at[: len(item.normal)]
     normal[np.ix_(rows, rows)] = item.normal
-    return Hypothesis(item.name, item.candidates, shared, normal)
+    return HypothesisInformation(item.name, item.candidates, shared, normal)
 
 
 def _chosen(
     model: CampaignModel,
     measured: int,
-    hypotheses: Sequence[Hypothesis],
+    hypotheses: Sequence[HypothesisInformation],
     questions: Sequence[Question],
     workers: int,
 ) -> tuple[list[int], dict[int, Distances], Distances]:

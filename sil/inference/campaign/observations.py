@@ -40,7 +40,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Channel:
+class ObservedChannel:
     """One measured quantity of a stroke: where it is in the record and in the prediction."""
 
     name: str
@@ -61,7 +61,7 @@ class StrokeObservation:
     setup: Setup
     predictor: Predictor
     time_s: Floats
-    channels: tuple[Channel, ...]
+    channels: tuple[ObservedChannel, ...]
     internal: InternalSamples | None
 
     @property
@@ -69,7 +69,7 @@ class StrokeObservation:
         """The stroke's stated conditions."""
         return self.entry.conditions
 
-    def offset_of(self, channel: Channel) -> str:
+    def offset_of(self, channel: ObservedChannel) -> str:
         """Return the name of a channel's offset, which another campaign of the unit does not share."""
         session = self.entry.session
         return f"{channel.name} of {session}" if session else channel.name
@@ -84,7 +84,7 @@ class StrokeObservation:
         """How many numbers are compared, the control unit's positions included."""
         return self.size + (0 if self.internal is None else len(self.internal.values_m))
 
-    def predicted(self, channel: Channel, states: Floats, setup: Setup) -> Floats:
+    def predicted(self, channel: ObservedChannel, states: Floats, setup: Setup) -> Floats:
         """Return what a channel shows of the states [instants, states], [n] in SI units.
 
         The pressure of the damper's chamber two is that of the model in force.
@@ -131,7 +131,7 @@ def observe(
         grid = np.union1d(instants, np.rint(fine_s[thinned] * NS).astype(np.int64))
     at = np.searchsorted(grid, instants)
     fixed = conditions.system == FIXED
-    channels: list[Channel] = []
+    channels: list[ObservedChannel] = []
 
     def add(column: str, state: int) -> None:
         kind = kind_of(column)
@@ -156,7 +156,7 @@ def observe(
             size = float(np.sum((floor * sd**2 + left**2) / variance))
             sd = np.sqrt(variance)
         channels.append(
-            Channel(column, kind, state, measured[use], sd, at[use], channel_noise, size)
+            ObservedChannel(column, kind, state, measured[use], sd, at[use], channel_noise, size)
         )
 
     if "position_m" in record:
@@ -172,7 +172,7 @@ def observe(
 
 
 def kind_of(column: str) -> str:
-    """Return the kind of a channel, as in `Channel.kind`."""
+    """Return the kind of a channel, as in `ObservedChannel.kind`."""
     if column.startswith("position"):
         return "position"
     return "oil" if column == "pressure_oil2_pa" else "pressure"

@@ -19,7 +19,7 @@ from sil.inference.campaign.figures import next_figure, strokes_figure, term_fig
 from sil.inference.campaign.residuals import relative_errors
 from sil.inference.campaign.terms import form_of
 from sil.inference.refused import Tried
-from sil.inference.report import FALSE_ALARM_LEVEL, Cause
+from sil.inference.report import FALSE_ALARM_LEVEL, ReportedCause
 from sil.inference.verdict import Judged
 from sil.inference.workers import spread_out
 from sil.report.picture import save
@@ -137,7 +137,7 @@ def _explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _look_alikes(cause: Cause, result: Diagnosis) -> str:
+def _look_alikes(cause: ReportedCause, result: Diagnosis) -> str:
     """Return the cause's look-alikes that were fitted to the end, and how far each is behind."""
     texts = []
     for other in look_alikes(cause.id):
@@ -147,7 +147,7 @@ def _look_alikes(cause: Cause, result: Diagnosis) -> str:
     return ", ".join(texts)
 
 
-def _parameter_lines(cause: Cause) -> list[str]:
+def _parameter_lines(cause: ReportedCause) -> list[str]:
     """Return the parameters as lines; a term's nodes as one."""
     if "node_00" in cause.parameters:
         return ["nodes: " + ", ".join(f"{item.value:.3g}" for item in cause.parameters.values())]

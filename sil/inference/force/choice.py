@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sil.inference.force.fit import Bank, Group, Tried, gain_in_errors, jackknife
+from sil.inference.force.fit import Bank, ForceFit, TermGroup, gain_in_errors, jackknife
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import CONDITIONS
 from sil.inference.thresholds import LIMITS, UNNAMED
@@ -18,21 +18,21 @@ from sil.inference.verdict import Verdict, decide
 
 
 @dataclass(frozen=True)
-class Choice:
+class ForceChoice:
     """The hypotheses about a record: tried, the plain body first; judged, the best first; the verdict."""
 
     bank: Bank
-    tried: Sequence[Tried]
-    judged: Sequence[Tried]
-    verdict: Verdict[Tried]
+    tried: Sequence[ForceFit]
+    judged: Sequence[ForceFit]
+    verdict: Verdict[ForceFit]
 
     @property
-    def leader(self) -> Tried:
+    def leader(self) -> ForceFit:
         """The hypothesis accepted."""
         return self.verdict.leader
 
     @property
-    def closest(self) -> Tried:
+    def closest(self) -> ForceFit:
         """The hypothesis that leaves least, acceptable or not."""
         return min(self.tried, key=lambda item: item.rms_n)
 
@@ -42,7 +42,7 @@ class Choice:
         return self.leader.rms_n <= LIMITS.max_residual_ratio * self.leader.noise_n
 
 
-def choose(record: Recorded) -> Choice:
+def choose(record: Recorded) -> ForceChoice:
     """Fit all hypotheses to a record and decide between those that are physical."""
     bank = Bank(record)
     tried = [bank.attempt(())] if bank.is_constant() else bank.all_tried()
@@ -53,11 +53,11 @@ def choose(record: Recorded) -> Choice:
     while True:
         verdict = decide(judged, len(tried[0].squares))
         if all(has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):
-            return Choice(bank, tried, judged, verdict)
+            return ForceChoice(bank, tried, judged, verdict)
         judged.remove(verdict.leader)
 
 
-def has_one_value(bank: Bank, item: Tried, group: Group) -> bool:
+def has_one_value(bank: Bank, item: ForceFit, group: TermGroup) -> bool:
     """Return whether a cause has the same value in both halves of the samples, by each condition.
 
     A term that only makes up for one that is missing has another value where that acts more. Halves
@@ -83,7 +83,7 @@ def has_one_value(bank: Bank, item: Tried, group: Group) -> bool:
     return True
 
 
-def acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
+def acceptable(item: ForceFit, by_names: dict[frozenset[str], ForceFit]) -> bool:
     """Return whether a hypothesis is physical and gains by each of its causes."""
     if not item.groups:
         return True

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sil.campaign.campaign import Floats
-from sil.inference.force.choice import Choice, choose
-from sil.inference.force.fit import Bank, Group
+from sil.inference.force.choice import ForceChoice, choose
+from sil.inference.force.fit import Bank, TermGroup
 from sil.inference.force.record import (
     FEWEST_SAMPLES,
     FEWEST_STROKES,
@@ -25,12 +25,12 @@ from sil.inference.thresholds import LIMITS
 
 
 @dataclass(frozen=True)
-class Delay:
+class ForceDelay:
     """By how much something is late [s], and what is chosen without that."""
 
     what: str
     late_s: float
-    choice: Choice
+    choice: ForceChoice
 
     def __str__(self) -> str:
         """Return what is late or early, and by how much."""
@@ -42,7 +42,7 @@ class Delay:
         return abs(self.late_s) <= (1.0 + LIMITS.step_tolerance) * step_s
 
 
-def without_delay(record: Recorded) -> tuple[Choice, str, str]:
+def without_delay(record: Recorded) -> tuple[ForceChoice, str, str]:
     """Return what is chosen, a finding about a delay, and a doubt about one that forbids conclusions.
 
     A delay within a sampling step is taken off if noise does not explain what is left with it. With a
@@ -77,7 +77,7 @@ def _ways(record: Recorded) -> list[tuple[str, bool]]:
     return [(what, False), (f"{what} with its pressures", True)]
 
 
-def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
+def _delay(choice: ForceChoice, what: str, pressures: bool) -> ForceDelay | None:
     """Return the delay that explains what the leader leaves, None if there is none.
 
     The force is moved against all columns first, so that no cause is taken for a delay, then against
@@ -85,7 +85,7 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
     """
     record, step_s = choice.bank.record, choice.bank.record.step_s
 
-    def moved(late_s: float) -> Choice:
+    def moved(late_s: float) -> ForceChoice:
         return choose(sooner(record, late_s, pressures)) if late_s else choice
 
     steps = _lag(choice.bank, choice.bank.groups, pressures)
@@ -102,7 +102,7 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
         late_s = -0.5 * step_s
     if not late_s:
         return None
-    delay = Delay(what, late_s, now if late_s == whole_s else moved(late_s))
+    delay = ForceDelay(what, late_s, now if late_s == whole_s else moved(late_s))
     if delay.is_within(step_s):
         before, after = (item.closest.over_noise for item in (choice, delay.choice))
         return delay if after**2 - 1.0 < 0.8 * (before**2 - 1.0) else None
@@ -119,7 +119,7 @@ def _delay(choice: Choice, what: str, pressures: bool) -> Delay | None:
     return delay if explains and gain >= least else None
 
 
-def _excess(choice: Choice) -> list[float]:
+def _excess(choice: ForceChoice) -> list[float]:
     """Return the leader's excess, in squares of the noise: held out, and of both halves of the samples."""
     bank, leader = choice.bank, choice.leader
     halves = np.array_split(bank.target - bank.model_n(leader), 2)
@@ -127,7 +127,7 @@ def _excess(choice: Choice) -> list[float]:
     return [item - 1.0 for item in (leader.over_noise**2, *squares)]
 
 
-def _lag(bank: Bank, groups: Sequence[Group], pressures: bool) -> int:
+def _lag(bank: Bank, groups: Sequence[TermGroup], pressures: bool) -> int:
     """Return by how many sampling steps the force is late against the columns of a hypothesis.
 
     0 if too few samples can be moved.
@@ -156,7 +156,7 @@ def _lag(bank: Bank, groups: Sequence[Group], pressures: bool) -> int:
     return best(np.arange(max(-most, near - coarse), min(most, near + coarse) + 1))
 
 
-def _rest_s(choice: Choice, pressures: bool) -> float:
+def _rest_s(choice: ForceChoice, pressures: bool) -> float:
     """Return by how much less than a step the force is late [s], 0 if that is not sure.
 
     The delay is what the closest hypothesis leaves of it, which may be all that is left of the

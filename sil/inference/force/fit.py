@@ -36,7 +36,7 @@ POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
 
 
 @dataclass(frozen=True)
-class Group:
+class TermGroup:
     """Columns that enter together: one of a form, several of a smooth function."""
 
     name: str
@@ -47,7 +47,7 @@ class Group:
 
 
 @dataclass
-class Tried(Explanation):
+class ForceFit(Explanation):
     """A hypothesis, fitted.
 
     values, deviations: [k] of the body's and the groups' columns; squares: held-out sum of squares
@@ -55,7 +55,7 @@ class Tried(Explanation):
     samples; is_robust: its causes come out alike whatever describes its residual.
     """
 
-    groups: tuple[Group, ...]
+    groups: tuple[TermGroup, ...]
     values: Floats
     deviations: Floats
     squares: Floats
@@ -136,7 +136,7 @@ class Tried(Explanation):
         return True
 
 
-def gain_in_errors(item: Tried, other: Tried) -> float:
+def gain_in_errors(item: ForceFit, other: ForceFit) -> float:
     """Return how much less `item` leaves of held-out squares than `other`, in standard errors.
 
     Of the squares themselves or of their shares, whichever is surer: where strokes differ much, a
@@ -168,7 +168,7 @@ class Bank:
             target = target - stated * raw.acceleration_m_s2
         self.target = target[rows]
         self.missing: dict[str, str] = {}
-        self.groups: list[Group] = []
+        self.groups: list[TermGroup] = []
         self._columns: list[Floats] = []
         self.body = self._add_body(raw, stated is None)
         base = np.column_stack(self._columns)
@@ -244,9 +244,9 @@ class Bank:
         first = len(self._columns)
         self._columns += list(table.reshape(len(self.target), -1).T)
         columns = tuple(range(first, len(self._columns)))
-        self.groups.append(Group(name, id_, cause_class, form, columns))
+        self.groups.append(TermGroup(name, id_, cause_class, form, columns))
 
-    def add_smooth(self) -> list[Group]:
+    def add_smooth(self) -> list[TermGroup]:
         """Add functions without a form; return their groups."""
         raw, first = self.record.raw, len(self.groups)
         for name, (cause_class, over, times) in SMOOTH.items():
@@ -275,11 +275,11 @@ class Bank:
         both = np.column_stack([self.columns, self.target]) * sign[:, None]
         self._means = np.add.reduceat(both[order], first) / self._sizes[:, None]
 
-    def columns_of(self, groups: Sequence[Group]) -> list[int]:
+    def columns_of(self, groups: Sequence[TermGroup]) -> list[int]:
         """Return the columns of a hypothesis, the body's first."""
         return [*range(len(self.body)), *(c for group in groups for c in group.columns)]
 
-    def attempt(self, groups: Sequence[Group]) -> Tried:
+    def attempt(self, groups: Sequence[TermGroup]) -> ForceFit:
         """Fit a hypothesis with every group of strokes held out in turn; deviations by jackknife."""
         picked = self.columns_of(groups)
         grams, sides = self._grams[:, picked][:, :, picked], self._sides[:, picked]
@@ -301,7 +301,7 @@ class Bank:
             + np.einsum("fi,fij,fj->f", without, grams, without)
         )
         scale = self.scale[picked]
-        return Tried(
+        return ForceFit(
             tuple(groups),
             values / scale,
             np.where(values == 0.0, free, jackknife(without - values)) / scale,
@@ -311,7 +311,7 @@ class Bank:
         )
 
     def unbounded(
-        self, groups: Sequence[Group], rows: NDArray[np.bool_] | None = None
+        self, groups: Sequence[TermGroup], rows: NDArray[np.bool_] | None = None
     ) -> tuple[Floats, Floats]:
         """Return the values [k] of a hypothesis without bounds, and those with each group of strokes left out [f, k].
 
@@ -323,18 +323,18 @@ class Bank:
         values, without = solved(grams, sides)
         return values / self.scale[picked], without / self.scale[picked]
 
-    def free_rms(self, group: Group) -> float:
+    def free_rms(self, group: TermGroup) -> float:
         """Return the rms of what one unit of a group changes that the body cannot make up [N]."""
         k = group.columns[0]
         column = self.columns[:, k] * self.scale[k]
         return float(np.sqrt(np.mean((column - self._base @ (self._base.T @ column)) ** 2)))
 
-    def model_n(self, item: Tried) -> Floats:
+    def model_n(self, item: ForceFit) -> Floats:
         """Return the force of a hypothesis [n] in N, without the stated mass's."""
         picked = self.columns_of(item.groups)
         return np.asarray(self.columns[:, picked] @ (item.values * self.scale[picked]))
 
-    def all_tried(self) -> list[Tried]:
+    def all_tried(self) -> list[ForceFit]:
         """Return the plain body, every term with its best shape alone and in pairs, some triples."""
         best = self._best((group,) for group in self.groups)
         pairs = self._best(itertools.combinations(self.groups, 2))
@@ -342,9 +342,9 @@ class Bank:
         triples = self._best((*pair.groups, group) for pair in leading for group in self.groups)
         return [self.attempt(()), *best, *pairs, *triples]
 
-    def _best(self, sets: Iterable[tuple[Group, ...]]) -> list[Tried]:
+    def _best(self, sets: Iterable[tuple[TermGroup, ...]]) -> list[ForceFit]:
         """Return the hypotheses of sets of groups, of each set of names the one that leaves least."""
-        best: dict[frozenset[str], Tried] = {}
+        best: dict[frozenset[str], ForceFit] = {}
         for groups in sets:
             names = frozenset(group.name for group in groups)
             if len({group.id for group in groups}) < len(groups) or self._alike(groups):
@@ -354,12 +354,12 @@ class Bank:
                 best[names] = item
         return list(best.values())
 
-    def _alike(self, groups: Sequence[Group]) -> bool:
+    def _alike(self, groups: Sequence[TermGroup]) -> bool:
         """Return whether the data hardly separate single columns."""
         pairs = itertools.combinations([group.columns[0] for group in groups], 2)
         return any(abs(self._correlation[i, j]) > 0.99**0.5 for i, j in pairs)
 
-    def calibrate(self, tried: Sequence[Tried]) -> None:
+    def calibrate(self, tried: Sequence[ForceFit]) -> None:
         """State the noise: of the channels through the best balance, and the scatter of strokes."""
         best = min(tried, key=lambda item: item.rms_n)
         # a residual of 1e-3 of the driving force is explained: no model of a body is better; Coulomb

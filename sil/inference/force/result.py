@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from sil.inference.force.fit import BODY, POSITIVE, Bank, Tried, gain_in_errors
+from sil.inference.force.fit import BODY, POSITIVE, Bank, ForceFit, gain_in_errors
 from sil.inference.force.record import Recorded
 from sil.inference.headline import headline, seen_sentence
-from sil.inference.report import Cause, Gain, Interval, diagnosis_json
+from sil.inference.report import Gain, Interval, ReportedCause, diagnosis_json
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Conclusion, Verdict, kind_of
 
@@ -35,19 +35,19 @@ class ForceDiagnosis:
 
     record: Recorded
     bank: Bank
-    plain: Tried
-    verdict_: Verdict[Tried]
-    judged: Sequence[Tried]
-    singles: Sequence[Tried]
+    plain: ForceFit
+    verdict_: Verdict[ForceFit]
+    judged: Sequence[ForceFit]
+    singles: Sequence[ForceFit]
     doubts: tuple[str, ...]
     rest: tuple[str, str, float]
 
     @property
-    def leader(self) -> Tried:
+    def leader(self) -> ForceFit:
         """The hypothesis accepted: the plain body if no cause is."""
         return self.verdict_.leader
 
-    def error(self, item: Tried) -> float:
+    def error(self, item: ForceFit) -> float:
         """Return the relative force error: held-out rms over the rms of the driving force."""
         return item.rms_n / (float(np.sqrt(np.mean(self.bank.target**2))) + 1e-300)
 
@@ -87,7 +87,7 @@ class ForceDiagnosis:
         high = f"{value + 1.96 * deviation:.3g} {self._unit('kg')}"
         return f"not determined, at most {high}: faster strokes would determine it"
 
-    def causes(self) -> list[Cause]:
+    def causes(self) -> list[ReportedCause]:
         """Return the causes claimed and their rivals, and what no named cause explains."""
         causes = []
         for name, probability in self.verdict_.probabilities.items():
@@ -103,7 +103,7 @@ class ForceDiagnosis:
         last = UNNAMED if self.verdict in ("named", "ambiguous") else ""
         return sorted(causes, key=lambda cause: (cause.id == last, -cause.probability))
 
-    def _cause(self, name: str, item: Tried, probability: float) -> Cause:
+    def _cause(self, name: str, item: ForceFit, probability: float) -> ReportedCause:
         group = item.groups[item.ids.index(name)]
         k = len(item.body) + sum(len(g.columns) for g in item.groups[: item.groups.index(group)])
         value, deviation = float(item.values[k]), float(item.deviations[k])
@@ -125,7 +125,7 @@ class ForceDiagnosis:
         )
         if name not in self.leader.ids:
             text = f"cannot be distinguished from {self.leader.name}: {text}"
-        return Cause(
+        return ReportedCause(
             name,
             group.cause_class,
             probability,
@@ -134,7 +134,7 @@ class ForceDiagnosis:
             what=what,
         )
 
-    def _unexplained(self, probability: float) -> Cause:
+    def _unexplained(self, probability: float) -> ReportedCause:
         """Return the cause of a residual that neither noise nor a named cause explains."""
         item = self.leader
         counts = np.unique(self.record.raw.block[self.record.judged], return_counts=True)[1]
@@ -150,7 +150,7 @@ class ForceDiagnosis:
                 "time lag, vibration) or not repeated from stroke to stroke"
             )
         besides = f"besides {item.name}, " if self.verdict in ("named", "ambiguous") else ""
-        return Cause(
+        return ReportedCause(
             UNNAMED,
             cause_class,
             probability,

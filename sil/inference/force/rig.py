@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from sil.inference.force.delay import without_delay
-from sil.inference.force.fit import Bank, Group, Tried, gain_in_errors, jackknife
+from sil.inference.force.fit import Bank, ForceFit, TermGroup, gain_in_errors, jackknife
 from sil.inference.force.record import Recorded, read_motion
 from sil.inference.force.result import ForceDiagnosis
 from sil.inference.force.terms import difference
@@ -55,7 +55,7 @@ def diagnose_motion(record: Recorded) -> ForceDiagnosis:
     return ForceDiagnosis(record, bank, plain, verdict, choice.judged, singles, doubts, rest)
 
 
-def _described(bank: Bank, leader: Tried, smooth: Sequence[Group]) -> tuple[str, str, float]:
+def _described(bank: Bank, leader: ForceFit, smooth: Sequence[TermGroup]) -> tuple[str, str, float]:
     """Return what the leader's residual depends on, its class, and the share of its squares."""
     descriptions = []
     for group in smooth:
@@ -66,7 +66,7 @@ def _described(bank: Bank, leader: Tried, smooth: Sequence[Group]) -> tuple[str,
     return name, cause_class if share >= LIMITS.min_described_share else "mechanics", share
 
 
-def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
+def _is_robust(bank: Bank, leader: ForceFit, group: TermGroup) -> bool:
     """Return whether a cause comes out alike whatever else describes the residual.
 
     Descriptions that contain the cause are put in its place: one of another class must not leave less
@@ -76,7 +76,7 @@ def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
     thin = slice(None, None, max(1, len(bank.target) // 5000))
     cause_column = bank.columns[thin, group.columns[0]]
     others = tuple(item for item in leader.groups if item is not group)
-    own_class, foreign = [leader], list[Tried]()
+    own_class, foreign = [leader], list[ForceFit]()
     for other in bank.groups:
         if other.name in leader.names:
             continue
@@ -95,7 +95,7 @@ def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
 
 
 # --- what forbids a conclusion ----------------------------------------------------------------
-def _doubts(bank: Bank, plain: Tried, delay: str) -> list[str]:
+def _doubts(bank: Bank, plain: ForceFit, delay: str) -> list[str]:
     """Return why nothing can be concluded from this record, none usually: a delay, and more."""
     doubts = [delay] if delay else []
     # forces that a motion to and fro gives back must not be taken for friction
@@ -117,7 +117,7 @@ def _doubts(bank: Bank, plain: Tried, delay: str) -> list[str]:
     return doubts
 
 
-def _friction(bank: Bank, groups: Sequence[Group]) -> str:
+def _friction(bank: Bank, groups: Sequence[TermGroup]) -> str:
     """Return what is not physical about friction and mass without bounds; empty if nothing is.
 
     A reversed sign reverses both: with a mass that is surely positive, other forces act.

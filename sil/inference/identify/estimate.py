@@ -13,7 +13,7 @@ from sil.report.figure import Figure
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """One identified parameter: value(s), 95 % interval where it is one number, how it was found."""
 
     path: str
@@ -37,7 +37,7 @@ class Identified:
     """
 
     what: str
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     notes: tuple[str, ...]
     figure: Figure
     over_noise: float

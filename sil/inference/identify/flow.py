@@ -25,7 +25,7 @@ from sil.campaign.campaign import Campaign, Floats, Record
 from sil.files.quantity import counted
 from sil.inference.campaign.observations import nominal_noise
 from sil.inference.fit import Show, no_progress
-from sil.inference.identify.estimate import Estimate, Identified
+from sil.inference.identify.estimate import Identified, ParameterEstimate
 from sil.report.figure import Figure, Panel, Series, Stack
 
 Polynomial = tuple[float, ...]
@@ -225,7 +225,7 @@ def identify_flow(
     Raises InputError when a direction is missing, or no second volume is there to check on.
     """
     records = _rest_records(campaign, parameters)
-    estimates: list[Estimate] = []
+    estimates: list[ParameterEstimate] = []
     notes: list[str] = []
     stacks: list[Stack] = []
     for number, charging in enumerate(DIRECTIONS):
@@ -246,7 +246,7 @@ def _identify_direction(
     records: list[RestRecord],
     campaign: Campaign,
     parameters: ParameterSet,
-) -> tuple[list[Estimate], str, Stack]:
+) -> tuple[list[ParameterEstimate], str, Stack]:
     """Return the estimates of one direction, a note on them and their figure."""
     word, axis, alpha_m, section, joint, degrees = DIRECTIONS[charging]
     chosen = [r for r in records if r.charging == charging]
@@ -278,7 +278,7 @@ def _identify_direction(
         f"95 % band of the mean flow +-{band:.2f} %"
     )
     estimates = [
-        Estimate(f"{section}.{key}", coefficients, None, None, source)
+        ParameterEstimate(f"{section}.{key}", coefficients, None, None, source)
         for key, coefficients in (("c_low", near), ("c_high", far))
     ]
     note = f"{word}: {counted(len(x), 'point')} from {counted(len(fitted), 'record')}, scatter {scatter:.2e}"

@@ -25,7 +25,7 @@ from sil.inference.campaign.tangent_model import TangentModel
 from sil.inference.candidate import Candidate
 from sil.inference.evidence import misfit
 from sil.inference.fit import Fitter, Show, no_progress
-from sil.inference.identify.estimate import Estimate, Identified
+from sil.inference.identify.estimate import Identified, ParameterEstimate
 from sil.inference.spread import Spread
 from sil.report.figure import BAR, MM, Figure, Panel, Series, Stack
 
@@ -120,7 +120,7 @@ def _fitted(
     parameters: ParameterSet,
     method: Method,
     progress: Show,
-) -> tuple[tuple[Estimate, ...], float]:
+) -> tuple[tuple[ParameterEstimate, ...], float]:
     """Return the fitted parameters, and the residual over its expected noise."""
     from scipy.stats import t as student
 
@@ -152,7 +152,7 @@ def _fitted(
         base = parameters.value(path)
         centre = base * fit.values[0][path]
         half = quantile * float(np.sqrt(covariance[row, row] * reduced)) * 0.1 * base
-        estimates.append(Estimate(path, centre, centre - half, centre + half, source))
+        estimates.append(ParameterEstimate(path, centre, centre - half, centre + half, source))
     return tuple(estimates), misfit(model, fit).rms
 
 

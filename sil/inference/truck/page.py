@@ -15,7 +15,7 @@ from sil.files.atomic import write_atomically
 from sil.files.quantity import counted, noun
 from sil.inference.headline import headline, seen_sentence
 from sil.inference.model_file import model_file
-from sil.inference.report import Cause, Interval, diagnosis_json
+from sil.inference.report import Interval, ReportedCause, diagnosis_json
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.truck.detectable import Detectable
 from sil.inference.truck.diagnosis import TruckDiagnosis
@@ -52,7 +52,7 @@ MOST_KINDS: Final = 4
 """Kinds of shifts that are drawn."""
 
 
-def reported(diagnosis: TruckDiagnosis) -> list[Cause]:
+def reported(diagnosis: TruckDiagnosis) -> list[ReportedCause]:
     """Return the causes as diagnosis.json holds them, the most probable first."""
     if diagnosis.verdict is None:
         return []
@@ -72,7 +72,9 @@ def reported(diagnosis: TruckDiagnosis) -> list[Cause]:
         ids = {other.fit.id for other in diagnosis.verdict.causes} - {cause.id}
         if alike := [name for name in alike_of(diagnosis, cause.id) if name in ids]:
             text += f"; the bus cannot distinguish it from {', '.join(alike)}"
-        causes.append(Cause(effect.id, effect.cause_class, probabilities[effect.id], own, text))
+        causes.append(
+            ReportedCause(effect.id, effect.cause_class, probabilities[effect.id], own, text)
+        )
     return causes
 
 
@@ -159,7 +161,7 @@ def as_json(diagnosis: TruckDiagnosis, logs: list[str], skipped: dict[str, int])
     )
 
 
-def headline_of(diagnosis: TruckDiagnosis, causes: list[Cause]) -> str:
+def headline_of(diagnosis: TruckDiagnosis, causes: list[ReportedCause]) -> str:
     """Return the one sentence that a reader needs first; shifts that failed stand before it."""
     first = diagnosis.findings[0] if diagnosis.findings else ""
     if diagnosis.kind == UNNAMED:

@@ -18,7 +18,7 @@ from plant.kernel.layout import LengthState, Parameters
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.simulation.impacts import HOLD_S
-from sil.studies.bounds.policy import STEM_SIZE, Edges, Timing, edges_of, switches_of
+from sil.studies.bounds.policy import STEM_SIZE, Edges, SwitchingDelays, edges_of, switches_of
 from sil.studies.policies import GEARBOX, Floats, Ints, LoadModel
 
 LATER_S = 0.03
@@ -91,7 +91,7 @@ class Judge:
     def __init__(
         self,
         parameters: ParameterSet,
-        timing: Timing,
+        timing: SwitchingDelays,
         impulses_n_s: Floats,
         mesh_n: Sequence[float],
         scatter: Sequence[Scatter],

@@ -29,7 +29,7 @@ Edges = Mapping[str, Floats]
 """When the command of each valve changes, [strokes, changes] in s; at first it is off."""
 
 
-class Timing(NamedTuple):
+class SwitchingDelays(NamedTuple):
     """Delays in s from a command to the plunger's move."""
 
     rise_s: float
@@ -50,7 +50,11 @@ def places_of(valves: Iterable[str], knots: int) -> tuple[Ints, Ints]:
 
 
 def edges_of(
-    values: Floats, knots_s: Sequence[float], release_s: Floats, delay_s: float, timing: Timing
+    values: Floats,
+    knots_s: Sequence[float],
+    release_s: Floats,
+    delay_s: float,
+    timing: SwitchingDelays,
 ) -> Edges:
     """Return the commands of policies [policies, size] for releases [policies, strokes] in s.
 

@@ -19,7 +19,7 @@ from sil.studies.bounds.policy import (
     NO_PULSE,
     STEM,
     STEM_SIZE,
-    Timing,
+    SwitchingDelays,
     at_releases,
     places_of,
 )
@@ -88,7 +88,7 @@ def random_stem(rng: np.random.Generator) -> Floats:
     return np.concatenate(parts)
 
 
-class Problem:
+class BoundProblem:
     """What a policy is searched for: valves, delay of the information, mesh forces that may occur.
 
     b_with_f: F may open while B pushes, as the firmware forbids. impulses_n_s: the least and the greatest.
@@ -97,7 +97,7 @@ class Problem:
     def __init__(
         self,
         parameters: ParameterSet,
-        timing: Timing,
+        timing: SwitchingDelays,
         delay_s: float,
         mesh_n: Sequence[float],
         b_with_f: bool = False,
@@ -269,7 +269,7 @@ class Problem:
 
 def softest_alone(
     parameters: ParameterSet,
-    timing: Timing,
+    timing: SwitchingDelays,
     mesh_n: float,
     impulse_n_s: float,
     evaluations: int,
@@ -279,7 +279,9 @@ def softest_alone(
 
     others: policies of other loads, to begin with.
     """
-    problem = Problem(parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s))
+    problem = BoundProblem(
+        parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s)
+    )
     progress = SearchProgress()
     for _ in range(4):
         progress = problem.cma(progress, evaluations // 4, [progress, *others])

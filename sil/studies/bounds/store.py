@@ -18,7 +18,7 @@ from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
 from sil.studies.bounds.policy import ANSWER, STEM_SIZE, commands_of, edges_of
-from sil.studies.bounds.search import Problem, SearchProgress
+from sil.studies.bounds.search import BoundProblem, SearchProgress
 from sil.studies.policies import GEARBOX
 
 Search = Literal["cma", "linear"]
@@ -53,7 +53,7 @@ def write_progress(folder: Path, progress: dict[Search, SearchProgress]) -> None
     write_atomically(folder / "policy.toml", "\n".join(lines) + "\n")
 
 
-def write_campaign(folder: Path, problem: Problem, policy: SearchProgress) -> None:
+def write_campaign(folder: Path, problem: BoundProblem, policy: SearchProgress) -> None:
     """Write strokes of a policy as campaign.toml, and model.toml with the delays of its valves.
 
     Strokes: for commands early, as they are and late, and each mesh force, the least and the greatest

@@ -20,10 +20,10 @@ from can_dbc import typed_toml
 from plant.parameters import load
 from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
 from sil.studies.bounds.judge import LATER_S, NOMINAL, SHIFTED, drawn
-from sil.studies.bounds.policy import Timing
-from sil.studies.bounds.search import Problem, SearchProgress, softest_alone
+from sil.studies.bounds.policy import SwitchingDelays
+from sil.studies.bounds.search import BoundProblem, SearchProgress, softest_alone
 from sil.studies.bounds.store import SEARCHES, read_progress, write_campaign, write_progress
-from sil.studies.study import Row, RowResult, Study, StudyFile, Table
+from sil.studies.study import RowResult, Study, StudyFile, StudyRow, Table
 from sil.studies.table import markdown
 
 Delay = Annotated[float, msgspec.Meta(ge=0.0, le=0.1)]
@@ -70,10 +70,10 @@ class RowKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             and self.b_with_f >= row.b_with_f
         )
 
-    def problem(self, model: str) -> Problem:
+    def problem(self, model: str) -> BoundProblem:
         """Return what is searched for."""
-        timing = Timing(self.opening_s, self.closing_s)
-        return Problem(load(model), timing, self.delay_s, self.mesh_n, self.b_with_f)
+        timing = SwitchingDelays(self.opening_s, self.closing_s)
+        return BoundProblem(load(model), timing, self.delay_s, self.mesh_n, self.b_with_f)
 
 
 class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="bounds"):
@@ -99,7 +99,7 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
         """Return the study that judges the stored policies."""
         return msgspec.structs.replace(self, attempts=0)
 
-    def run(self, study: Study, row: Row) -> RowResult:
+    def run(self, study: Study, row: StudyRow) -> RowResult:
         """Search on, store and judge. Raises InputError for a stored policy that is wrong."""
         rows = [typed_toml.convert(each.settings, RowKeys, study.source) for each in study.rows()]
         keys, roots = rows[row.number], [Path(study.source).parent / "bounds"]
@@ -181,7 +181,7 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
         return {"bounds.md": "\n".join(markdown(head, rows)) + "\n"}
 
 
-def judged(problem: Problem, policy: SearchProgress) -> dict[str, float]:
+def judged(problem: BoundProblem, policy: SearchProgress) -> dict[str, float]:
     """Return the hardest stops of a policy in each judgement, and those of the plain push.
 
     Under the draws a policy may be later than allowed; the share of such strokes is a figure of its own.
@@ -204,7 +204,7 @@ def judged(problem: Problem, policy: SearchProgress) -> dict[str, float]:
 
 
 @cache
-def known_m_s(model: str, timing: Timing, mesh_n: float, evaluations: int) -> float:
+def known_m_s(model: str, timing: SwitchingDelays, mesh_n: float, evaluations: int) -> float:
     """Return the hardest in m/s of the softest stops found for nine loads, each known in advance."""
     stops_m_s, last = [], list[SearchProgress]()
     for impulse_n_s in np.linspace(18.0, 250.0, 9).tolist():

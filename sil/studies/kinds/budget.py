@@ -30,7 +30,7 @@ from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels
-from sil.studies.study import Row, RowResult, ScenarioStudy, Study, Table
+from sil.studies.study import RowResult, ScenarioStudy, Study, StudyRow, Table
 
 THESIS_DELAYS_S = {"sensor": 0.030, "velocity": 0.010, "valve": 0.008}
 """Delays of information and of a valve as the thesis counts them (4.2.1)."""
@@ -63,7 +63,7 @@ class BudgetStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         totals = ("window_s", "last_part_s", "spent_s", "closed_spent_s", "slack_s", "last_slack_s")
         return (*totals, *map(simulated, BARS), *map(closed, BARS), "failed")
 
-    def run(self, study: Study, row: Row) -> RowResult:
+    def run(self, study: Study, row: StudyRow) -> RowResult:
         """Return the budget of a row; a shift that never arrives has none and counts as failed.
 
         Raises InputError for settings that the scenario does not accept, RunError if a participant

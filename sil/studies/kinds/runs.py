@@ -16,7 +16,7 @@ from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.metrics import METRICS
 from sil.studies.fault_table import fault_table, longest_sight_s, outcomes_figure, safe_states
 from sil.studies.figures import swept_figures
-from sil.studies.study import Row, RowResult, ScenarioStudy, Study, Table
+from sil.studies.study import RowResult, ScenarioStudy, Study, StudyRow, Table
 
 
 class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag="runs"):
@@ -37,7 +37,7 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
         shift += (*(name for name in METRICS if name in {*self.reads} - {*shift}), "failed")
         return (*shift, *safety.COLUMNS) if self.safety else shift
 
-    def run(self, study: Study, row: Row) -> RowResult:
+    def run(self, study: Study, row: StudyRow) -> RowResult:
         """Run a row as `opc4 run` with the row's settings does.
 
         Raises InputError for settings that the scenario does not accept, RunError if a participant

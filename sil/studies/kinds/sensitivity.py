@@ -23,7 +23,7 @@ from sil.report.figure import Figure, Panel, Rule, Span, Stack
 from sil.studies.assumptions import FACTORS, NOT_VARIED
 from sil.studies.figures import metric_of, numbered, title_of
 from sil.studies.kinds.headlines import Case, Headline, RowConditions, shipped_headlines
-from sil.studies.study import Row, RowResult, Setting, Study, StudyFile, Table
+from sil.studies.study import RowResult, Setting, Study, StudyFile, StudyRow, Table
 from sil.studies.table import markdown
 
 Floats = NDArray[np.float64]
@@ -64,7 +64,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         """Return the margins of the headlines."""
         return (*(headline.name for headline in self.headlines), "failed")
 
-    def run(self, study: Study, row: Row) -> RowResult:
+    def run(self, study: Study, row: StudyRow) -> RowResult:
         """Return the margin of each headline under the row's parameters.
 
         Raises InputError for settings that no model accepts, RunError if the equations cannot be
@@ -78,7 +78,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
             return RowResult(figures, "not run", f"no value of {', '.join(missing)}")
         return RowResult(margins | {"failed": 0.0})
 
-    def _case(self, row: Row) -> Case:
+    def _case(self, row: StudyRow) -> Case:
         factors: dict[str, float] = {}
         conditions: dict[str, float] = {}
         model: dict[str, Number] = {}

@@ -24,7 +24,7 @@ from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
 from sil.report.theme import SERIES
 from sil.simulation.impacts import PICK_UP, counted, worst_speed_m_s
 from sil.studies.figures import pareto_figure, row_labels, swept_figures, title_of
-from sil.studies.study import Row, RowResult, Study, StudyFile, Table
+from sil.studies.study import RowResult, Study, StudyFile, StudyRow, Table
 
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=60.0)]
 
@@ -90,7 +90,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
             *("charging_drop_pa", "passive_peak_pa", "failed"),
         )
 
-    def run(self, study: Study, row: Row) -> RowResult:
+    def run(self, study: Study, row: StudyRow) -> RowResult:
         """Simulate a stroke and return its figures.
 
         Raises InputError for wrong settings, RunError if the equations cannot be solved.

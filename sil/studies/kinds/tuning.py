@@ -33,7 +33,7 @@ from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels, title_of
 from sil.studies.kinds.budget import filter_delay_s
-from sil.studies.study import Choice, Row, RowResult, ScenarioStudy, Study, Table
+from sil.studies.study import Choice, RowResult, ScenarioStudy, Study, StudyRow, Table
 
 FAILED_M_S = 10.0
 BUS_S = 0.0004
@@ -145,7 +145,7 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
             *(f"{what} {load.name}" for what in each for load in self.load),
         )
 
-    def run(self, study: Study, row: Row) -> RowResult:
+    def run(self, study: Study, row: StudyRow) -> RowResult:
         """Tune the strategy of a row; parameters left at their default are NaN.
 
         Raises InputError for settings that the scenario does not accept.

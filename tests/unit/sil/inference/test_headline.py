@@ -6,11 +6,11 @@ import pytest
 
 from sil.cli.diagnose import print_causes
 from sil.inference.headline import headline, seen_sentence
-from sil.inference.report import Cause, Gain, Interval
+from sil.inference.report import Gain, Interval, ReportedCause
 
 
-def cause(name: str, parameter: str, *values: float, unit: str, p: float = 0.98) -> Cause:
-    return Cause(name, "some class", p, {parameter: Interval(*values, unit)}, "evidence")
+def cause(name: str, parameter: str, *values: float, unit: str, p: float = 0.98) -> ReportedCause:
+    return ReportedCause(name, "some class", p, {parameter: Interval(*values, unit)}, "evidence")
 
 
 LATE = cause("valve_open_delay", "delay_s", 0.005, 0.0044, 0.0056, unit="s")
@@ -33,12 +33,14 @@ LATE = cause("valve_open_delay", "delay_s", 0.005, 0.0044, 0.0056, unit="s")
         ),
         (
             "unnamed",
-            [Cause("unnamed", "flow", 0.9, {}, "", what="the exhaust flow of chamber N")],
+            [ReportedCause("unnamed", "flow", 0.9, {}, "", what="the exhaust flow of chamber N")],
             "Something is wrong: the exhaust flow of chamber N; no cause of the catalogue fits.",
         ),
     ],
 )
-def test_a_cause_is_said_with_its_size(verdict: str, causes: list[Cause], expected: str) -> None:
+def test_a_cause_is_said_with_its_size(
+    verdict: str, causes: list[ReportedCause], expected: str
+) -> None:
     assert headline(verdict, causes, "", "") == expected
 
 

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from sil.report.figure import Figure, Panel, Series, Stack, Zoom
-from sil.report.plots import MOST_POINTS, Group, on_axis, plots, rounded
+from sil.report.plots import MOST_POINTS, PlotGroup, on_axis, plots, rounded
 from tests.support.figures import everything
 
 
-def one(*series: Series, title: str = "p", zooms: list[Zoom] | None = None) -> Group:
+def one(*series: Series, title: str = "p", zooms: list[Zoom] | None = None) -> PlotGroup:
     (group,) = plots(Figure([Stack("time, s", [Panel(title, "m", series)], zooms=zooms or [])]))
     return group
 
 
-def content(group: Group) -> Any:
+def content(group: PlotGroup) -> Any:
     return json.loads(group.numbers)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sil.report.figure import Panel
-from sil.studies.design import Sweep
+from sil.studies.design import SweptValue
 from sil.studies.figures import MAX_DOTS, sweep_metric, swept_figures
 from sil.studies.load_study import load_study
 from sil.studies.study import Study, Table
@@ -113,13 +113,13 @@ def test_strokes_of_a_small_study_lie_over_one_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sweep", "label"),
     [
-        (Sweep(path="valve.D_fall"), ("valve.D_fall, ms", 1e3)),
-        (Sweep(path="controller.period_s"), ("controller.period_s, ms", 1e3)),
-        (Sweep(path="plant.mesh_force_n"), ("plant.mesh_force_n, N", 1.0)),
-        (Sweep(path="effect.inlet_clog.factor"), ("effect.inlet_clog.factor", 1.0)),
-        (Sweep(path="valve.D_fall", label="share"), ("share", 1.0)),
+        (SweptValue(path="valve.D_fall"), ("valve.D_fall, ms", 1e3)),
+        (SweptValue(path="controller.period_s"), ("controller.period_s, ms", 1e3)),
+        (SweptValue(path="plant.mesh_force_n"), ("plant.mesh_force_n, N", 1.0)),
+        (SweptValue(path="effect.inlet_clog.factor"), ("effect.inlet_clog.factor", 1.0)),
+        (SweptValue(path="valve.D_fall", label="share"), ("share", 1.0)),
     ],
 )
-def test_an_axis_has_the_unit_of_what_is_swept(sweep: Sweep, label: tuple[str, float]) -> None:
+def test_an_axis_has_the_unit_of_what_is_swept(sweep: SweptValue, label: tuple[str, float]) -> None:
     metric = sweep_metric(sweep)
     assert (metric.axis, metric.factor) == label

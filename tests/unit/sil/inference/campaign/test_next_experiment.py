@@ -19,7 +19,7 @@ from sil.inference.campaign.figures import next_figure
 from sil.inference.campaign.model import CampaignModel
 from sil.inference.campaign.next_experiment import (
     MOST,
-    Hypothesis,
+    HypothesisInformation,
     Question,
     added,
     distances_of,
@@ -76,7 +76,7 @@ def test_evidence_of_strokes_together_is_that_of_one_fit_to_all_of_them() -> Non
 
 def test_a_cause_that_a_tolerance_imitates_tells_less_than_one_that_none_does(clean_model) -> None:
     fitter = Fitter(clean_model)
-    healthy = Hypothesis.of(fitter.fit(iterations=4))
+    healthy = HypothesisInformation.of(fitter.fit(iterations=4))
     causes = {item.name: item for item in available(clean_model.strokes)}
 
     def distance(name: str) -> float:

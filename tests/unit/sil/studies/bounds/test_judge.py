@@ -7,7 +7,7 @@ import pytest
 
 from plant.parameters import load
 from sil.studies.bounds.judge import LATER_S, NOMINAL, PLAIN, Judge, drawn
-from sil.studies.bounds.policy import NO_PULSE, STEM_SIZE, Timing
+from sil.studies.bounds.policy import NO_PULSE, STEM_SIZE, SwitchingDelays
 
 PARAMETERS = load("nominal")
 PAUSE = np.full((1, STEM_SIZE), NO_PULSE)
@@ -18,7 +18,7 @@ PAUSE[0, [0, 3]] = 10.5, 0.5
 @pytest.fixture(scope="module")
 def judge() -> Judge:
     impulses_n_s = np.linspace(18.0, 250.0, 30)
-    return Judge(PARAMETERS, Timing(0.008, 0.035), impulses_n_s, (500.0, 1300.0), NOMINAL)
+    return Judge(PARAMETERS, SwitchingDelays(0.008, 0.035), impulses_n_s, (500.0, 1300.0), NOMINAL)
 
 
 def test_the_plain_push_is_in_time_and_harder_under_less_mesh_force(judge: Judge) -> None:
@@ -35,7 +35,9 @@ def test_some_loads_are_judged_as_among_all(judge: Judge) -> None:
 
 
 def test_the_damper_is_softer_than_the_plain_push() -> None:
-    judge = Judge(PARAMETERS, Timing(0.002, 0.002), np.array([250.0]), (1300.0,), NOMINAL, "damper")
+    judge = Judge(
+        PARAMETERS, SwitchingDelays(0.002, 0.002), np.array([250.0]), (1300.0,), NOMINAL, "damper"
+    )
     assert judge.plain.impact_m_s.max() == pytest.approx(0.602, abs=1e-3)
 
 

@@ -9,7 +9,7 @@ from plant.devices.valve import ValveTiming, seconds_to_ns, switch_schedule
 from sil.studies.bounds.policy import (
     ANSWER,
     STEM_SIZE,
-    Timing,
+    SwitchingDelays,
     at_releases,
     commands_of,
     edges_of,
@@ -28,7 +28,7 @@ def random_policies(count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("fall_s", [0.035, 0.005])
 def test_plungers_move_as_those_of_the_plant(fall_s: float) -> None:
-    timing, count = Timing(0.008, fall_s), 60
+    timing, count = SwitchingDelays(0.008, fall_s), 60
     releases_s = np.linspace(0.07, 0.2, count)[:, None]
     edges = edges_of(random_policies(count), KNOTS_S, releases_s, 0.005, timing)
     delays = (np.full((count, 3), each) for each in timing)
@@ -41,7 +41,7 @@ def test_plungers_move_as_those_of_the_plant(fall_s: float) -> None:
 
 
 def test_until_the_release_is_known_all_loads_have_the_same_commands() -> None:
-    values, timing = random_policies(1), Timing(0.008, 0.035)
+    values, timing = random_policies(1), SwitchingDelays(0.008, 0.035)
     edges = edges_of(values, KNOTS_S, np.array([[0.08, 0.15, 0.19]]), 0.048, timing)
     for k, known_s in ((0, 0.128), (1, 0.198)):
         first, last = (commands_of(edges, n) for n in (k, 2))

@@ -7,14 +7,14 @@ import pytest
 from msgspec.structs import replace
 
 from plant.parameters import load
-from sil.studies.bounds.policy import NO_PULSE, Timing, places_of
-from sil.studies.bounds.search import Problem, SearchProgress, random_stem, softest_alone
+from sil.studies.bounds.policy import NO_PULSE, SwitchingDelays, places_of
+from sil.studies.bounds.search import BoundProblem, SearchProgress, random_stem, softest_alone
 
-PARAMETERS, TODAY = load("nominal"), Timing(0.008, 0.035)
+PARAMETERS, TODAY = load("nominal"), SwitchingDelays(0.008, 0.035)
 
 
 def test_each_search_is_softer_than_the_plain_push_and_forgets_nothing() -> None:
-    problem = Problem(PARAMETERS, TODAY, 0.01, (1300.0,), impulses_n_s=(100.0, 140.0))
+    problem = BoundProblem(PARAMETERS, TODAY, 0.01, (1300.0,), impulses_n_s=(100.0, 140.0))
     plain_m_s = problem.judge.plain.impact_m_s.max()
     for search in (problem.cma, problem.linear):
         first = search(SearchProgress(), 200)
@@ -29,8 +29,8 @@ def test_each_search_is_softer_than_the_plain_push_and_forgets_nothing() -> None
 
 
 def test_linear_programs_lower_the_hardest_stop() -> None:
-    quick = Timing(0.008, 0.005)
-    problem = Problem(PARAMETERS, quick, 0.005, (1300.0,), impulses_n_s=(100.0, 140.0))
+    quick = SwitchingDelays(0.008, 0.005)
+    problem = BoundProblem(PARAMETERS, quick, 0.005, (1300.0,), impulses_n_s=(100.0, 140.0))
     (begun,) = problem.begin(np.random.default_rng(0))
     end = problem.linear(SearchProgress(), 900)
     before_m_s, after_m_s = (problem.costs(each, each.policy, 1)[0] for each in (begun, end))
@@ -38,7 +38,7 @@ def test_linear_programs_lower_the_hardest_stop() -> None:
 
 
 def test_more_knots_are_the_same_policy() -> None:
-    problem, rng = Problem(PARAMETERS, TODAY, 0.01, (1300.0,)), np.random.default_rng(5)
+    problem, rng = BoundProblem(PARAMETERS, TODAY, 0.01, (1300.0,)), np.random.default_rng(5)
     policy, places = problem.answering(SearchProgress(values=random_stem(rng).tolist()), 2)
     values = policy.policy[0]
     values[places[-12:]] = rng.standard_normal(12)

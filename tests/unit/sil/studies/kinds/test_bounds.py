@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from plant.parameters import load
 from sil.cli import main
 from sil.studies.bounds.judge import NOMINAL, PLAIN, Judge
-from sil.studies.bounds.policy import UNIT_S, Timing
+from sil.studies.bounds.policy import UNIT_S, SwitchingDelays
 from sil.studies.bounds.store import read_progress
 from sil.studies.kinds.bounds import RowKeys
 from sil.studies.load_study import load_study, shipped
@@ -98,7 +98,7 @@ def test_slower_valves_are_imitated_stop_for_stop() -> None:
         values[0, [6, 10]] = begin_s / UNIT_S, (0.04 - closing_s) / UNIT_S
         judge = Judge(
             load("nominal"),
-            Timing(opening_s, closing_s),
+            SwitchingDelays(opening_s, closing_s),
             np.linspace(18.0, 250.0, 9),
             (1300.0,),
             NOMINAL,

@@ -14,11 +14,11 @@ from plant.parameters import ParameterSet, load
 from sil.cli import main
 from sil.report.figure import Floats
 from sil.studies.assumptions import FACTORS, NOT_VARIED
-from sil.studies.design import Design, Sweep, drawn_shares
+from sil.studies.design import Design, SweptValue, drawn_shares
 from sil.studies.kinds.headlines import shipped_headlines
 from sil.studies.kinds.sensitivity import holds, in_words, total_indices
 from sil.studies.load_study import load_study
-from sil.studies.study import Row, Study, Table
+from sil.studies.study import Study, StudyRow, Table
 from sil.studies.table import quantiles, share_interval
 
 HEADLINES = [headline.name for headline in shipped_headlines()]
@@ -106,7 +106,7 @@ def test_the_numbers_that_are_not_varied_decide_no_headline() -> None:
         for path in paths
         if not isinstance(parameters[path].value, tuple)
     }
-    nominal, other = (study.run(Row(0, (), given)).figures for given in ({}, changed))
+    nominal, other = (study.run(StudyRow(0, (), given)).figures for given in ({}, changed))
     assert set(HEADLINES) < set(nominal)
     assert dict(nominal) == dict(other)
 
@@ -188,7 +188,7 @@ def test_a_headline_without_any_row_is_not_run_and_not_drawn() -> None:
 
 @pytest.mark.parametrize("name", ["charge_shape", "discharge_shape", "travel"])
 def test_a_factor_of_nothing_is_refused(name: str) -> None:
-    row = Row(0, (), {f"factor.{name}": 0.0})
+    row = StudyRow(0, (), {f"factor.{name}": 0.0})
     with pytest.raises(InputError, match=rf"factor\.{name}: 0; expected above 0$"):
         load_study("sensitivity").run(row)
 
@@ -223,17 +223,17 @@ def test_a_heavy_gearbox_turns_a_headline() -> None:
     """With 120 kg a stroke lasts longer than 48 ms after its release, or nearly."""
     study = load_study("sensitivity_global")
     nominal, heavy = (
-        study.run(Row(0, (), {"truck.m_gearbox": mass})).figures for mass in (9.0, 160.0)
+        study.run(StudyRow(0, (), {"truck.m_gearbox": mass})).figures for mass in (9.0, 160.0)
     )
     assert nominal["late_s"] > 0.02 > 0.0 > heavy["late_s"]
     assert nominal["damper_m_s"] > 0.7 > 0.3 > heavy["damper_m_s"]
     assert nominal["cushion_m_s"] == heavy["cushion_m_s"]
     with pytest.raises(InputError, match=r"factor\.frictions: unknown; expected one of"):
-        study.run(Row(0, (), {"factor.frictions": 2.0}))
+        study.run(StudyRow(0, (), {"factor.frictions": 2.0}))
 
 
 def test_a_normal_range_has_its_quantiles() -> None:
-    sweep = Sweep(path="x", low=1.0, high=3.0, scale="normal")
+    sweep = SweptValue(path="x", low=1.0, high=3.0, scale="normal")
     for share, value in ((0.025, 1.0), (0.5, 2.0), (0.975, 3.0)):
         assert sweep.at_share(share) == pytest.approx(value)
 

@@ -9,7 +9,7 @@ import pytest
 
 from sil.studies.figures import pareto_figure
 from sil.studies.load_study import load_study
-from sil.studies.study import Row, Study, Table
+from sil.studies.study import Study, StudyRow, Table
 
 DESIGN = """
 name = "s"
@@ -45,14 +45,14 @@ def table_of(study: Study, **texts: list[str]) -> Table:
 
 def test_a_stroke_counts_every_impact(study: Study) -> None:
     """A brake that comes too soon: the pistons hit harder than the stay."""
-    figures = study.run(Row(0, (), {"valve.D_fall": 0.005})).figures
+    figures = study.run(StudyRow(0, (), {"valve.D_fall": 0.005})).figures
     assert figures["impact_worst_m_s"] > 1.1 * figures["impact_speed_m_s"] > 0.0
     assert figures["air_used_kg"] > 1e-4
 
 
 def test_the_final_volume_is_what_chamber_n_keeps_in_gear(study: Study) -> None:
     nominal, same, small = (
-        study.run(Row(0, (), {} if m3 is None else {"stroke.final_volume_m3": m3})).figures
+        study.run(StudyRow(0, (), {} if m3 is None else {"stroke.final_volume_m3": m3})).figures
         for m3 in (None, 2.8e-5, 2e-6)
     )
     assert same["impact_speed_m_s"] == pytest.approx(nominal["impact_speed_m_s"], abs=1e-4)
@@ -73,7 +73,7 @@ def test_a_front_shows_the_unchanged_actuator_without_and_with_the_oil_damper(
     panel = study.file.draw(study, table_of(study))["pareto"].stacks[0].panels[0]
     plain, damped = panel.notes
     assert (plain.text, damped.text) == ("nothing changed", "oil damper")
-    nominal = study.run(Row(0, (), {})).figures
+    nominal = study.run(StudyRow(0, (), {})).figures
     assert plain.x == 1e3 * nominal["arrival_s"]
     assert damped.y < 0.5 * plain.y
 
