@@ -17,7 +17,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from can_dbc.errors import InputError
-from sil.inference.force.rig import diagnose_force
+from tests.support.force_rig import diagnose_force
 from tests.support.held_bodies import draw_held
 
 KINDS = {

@@ -32,8 +32,8 @@ def of_campaigns(path: Path) -> Stated:
 
 def of_bodies(first: int, count: int) -> Stated:
     """Return what is stated of drawn bodies."""
-    from sil.inference.force.rig import diagnose_force
     from tests.bench.bodies import EXPECTED, KINDS, draw
+    from tests.support.force_rig import diagnose_force
 
     stated = []
     with tempfile.TemporaryDirectory() as name:

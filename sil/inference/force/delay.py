@@ -12,15 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sil.campaign.campaign import Floats
-from sil.inference.force.choice import ForceChoice, choose
-from sil.inference.force.fit import Bank, TermGroup
-from sil.inference.force.record import (
-    FEWEST_SAMPLES,
-    FEWEST_STROKES,
-    RADIUS,
-    Recorded,
-    away_from_ends,
-)
+from sil.inference.force.fit import Bank, ForceChoice, TermGroup, choose
+from sil.inference.force.record import FEWEST_SAMPLES, FEWEST_STROKES, Recorded
 from sil.inference.thresholds import LIMITS
 
 
@@ -52,7 +45,13 @@ def without_delay(record: Recorded) -> tuple[ForceChoice, str, str]:
     choice = choose(record)
     if choice.is_explained and not choice.leader.groups:
         return choice, "", ""
-    delays = [item for what, too in _ways(record) if (item := _delay(choice, what, too))]
+    what, recorded_n = "driving force", record.recorded_n
+    ways = [(what, False), (f"{what} with its pressures", True)]
+    if not (record.body.piston_area_m2 or record.body.area_2_m2):
+        del ways[1]
+    elif np.ptp(recorded_n) == 0.0 or np.array_equal(recorded_n, record.raw.force_n):
+        ways = [(what, True)]
+    delays = [item for what, too in ways if (item := _delay(choice, what, too))]
     if not delays:
         return choice, "", ""
     delay = min(delays, key=lambda item: item.choice.leader.over_noise)
@@ -67,19 +66,10 @@ def without_delay(record: Recorded) -> tuple[ForceChoice, str, str]:
     return choice, "", f"{delay}: {remedy}"
 
 
-def _ways(record: Recorded) -> list[tuple[str, bool]]:
-    """Return what can be late, and whether the pressures that add to the force are late with it."""
-    what, recorded_n = "driving force", record.recorded_n
-    if not (record.body.piston_area_m2 or record.body.area_2_m2):
-        return [(what, False)]
-    if np.ptp(recorded_n) == 0.0 or np.array_equal(recorded_n, record.raw.force_n):
-        return [(what, True)]
-    return [(what, False), (f"{what} with its pressures", True)]
-
-
 def _delay(choice: ForceChoice, what: str, pressures: bool) -> ForceDelay | None:
     """Return the delay that explains what the leader leaves, None if there is none.
 
+    pressures: whether those that add to the force are late with it.
     The force is moved against all columns first, so that no cause is taken for a delay, then against
     those of the leader, so that none makes up for a part of it, and last by less than a step.
     """
@@ -107,16 +97,13 @@ def _delay(choice: ForceChoice, what: str, pressures: bool) -> ForceDelay | None
         before, after = (item.closest.over_noise for item in (choice, delay.choice))
         return delay if after**2 - 1.0 < 0.8 * (before**2 - 1.0) else None
     (before, *parts), (after, *left) = _excess(choice), _excess(delay.choice)
+    if after > LIMITS.max_share_beside_delay * before:
+        return None
+    noise = LIMITS.max_residual_ratio**2 - 1.0
+    most = np.maximum(noise, LIMITS.max_share_beside_delay * np.array(parts))
     gain = 0.5 * choice.leader.count * (before - after)
-    least = LIMITS.needed_gain(len(choice.leader.squares))
-    most = [
-        max(LIMITS.max_residual_ratio**2 - 1.0, LIMITS.max_share_beside_delay * part)
-        for part in parts
-    ]
-    explains = after <= LIMITS.max_share_beside_delay * before and bool(
-        np.all(np.less_equal(left, most))
-    )
-    return delay if explains and gain >= least else None
+    is_sure = gain >= LIMITS.needed_gain(len(choice.leader.squares))
+    return delay if is_sure and np.all(left <= most) else None
 
 
 def _excess(choice: ForceChoice) -> list[float]:
@@ -136,7 +123,7 @@ def _lag(bank: Bank, groups: Sequence[TermGroup], pressures: bool) -> int:
     lengths = np.diff(np.append(record.starts, len(record.judged)))
     most = min(int(0.5 / record.step_s), int(lengths.max()) // 8)
     rows = np.flatnonzero(record.judged)
-    inside = np.flatnonzero(_away(record, most)[rows])
+    inside = np.flatnonzero(record.away_from_ends(most)[rows])
     blocks = np.unique(record.raw.block[rows[inside]])
     if len(inside) < FEWEST_SAMPLES // 2 or len(blocks) < FEWEST_STROKES:
         return 0
@@ -170,13 +157,8 @@ def _rest_s(choice: ForceChoice, pressures: bool) -> float:
     size = float(moved @ moved) + 1e-300
     late_s = -float(rest @ moved) / size
     error_s = float(np.sqrt(rest @ rest / size / choice.closest.count))
-    return (
-        late_s
-        if LIMITS.min_standard_errors * error_s
-        < abs(late_s)
-        <= (1.0 + LIMITS.step_tolerance) * record.step_s
-        else 0.0
-    )
+    most_s = (1.0 + LIMITS.step_tolerance) * record.step_s
+    return late_s if LIMITS.min_standard_errors * error_s < abs(late_s) <= most_s else 0.0
 
 
 def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:
@@ -200,11 +182,5 @@ def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:
     if pressures:
         added, pressure = moved(added), None if pressure is None else moved(pressure)
     raw = replace(record.raw, force_n=recorded_n + added, pressure_pa=pressure)
-    judged = record.judged & _away(record, abs(late_s) / record.step_s)
+    judged = record.judged & record.away_from_ends(abs(late_s) / record.step_s)
     return replace(record, raw=raw, recorded_n=recorded_n, judged=judged)
-
-
-def _away(record: Recorded, steps: float) -> NDArray[np.bool_]:
-    """Return which samples [n], moved by so many steps, the filter keeps from the ends of their part."""
-    reach = int(np.ceil(RADIUS * record.width)) + int(np.ceil(steps))
-    return away_from_ends(record.starts, len(record.judged), reach)

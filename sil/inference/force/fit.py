@@ -18,17 +18,9 @@ from numpy.typing import NDArray
 from plant.effects.force_term import Floats, ForceTerm, Motion
 from sil.inference.evidence import ChannelMisfit, Misfit
 from sil.inference.force.record import Recorded
-from sil.inference.force.terms import (
-    FLEXIBLE,
-    SMOOTH,
-    Term,
-    centred,
-    difference,
-    hats,
-    terms,
-)
+from sil.inference.force.terms import CONDITIONS, SMOOTH, Term, centred, difference, hats, terms
 from sil.inference.thresholds import LIMITS, UNNAMED
-from sil.inference.verdict import Explanation
+from sil.inference.verdict import Explanation, Verdict, decide
 
 VISCOUS = "viscous_n_s_m"
 BODY = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}
@@ -73,14 +65,14 @@ class ForceFit(Explanation):
         return LIMITS.robust_share if self.is_robust else LIMITS.pair_prior
 
     @property
-    def name(self) -> str:
-        """Name of the hypothesis."""
-        return " + ".join(self.names) or "plain body"
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of its terms."""
         return tuple(group.name for group in self.groups)
+
+    @property
+    def name(self) -> str:
+        """Name of the hypothesis."""
+        return " + ".join(self.names) or "plain body"
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -119,12 +111,16 @@ class ForceFit(Explanation):
         k = self.body.index(name)
         return float(self.values[k]), float(self.deviations[k])
 
+    def size_of(self, group: TermGroup) -> tuple[float, float]:
+        """Return value and deviation of a group's first column."""
+        before = self.groups[: self.groups.index(group)]
+        k = len(self.body) + sum(len(item.columns) for item in before)
+        return float(self.values[k]), float(self.deviations[k])
+
     def physical(self) -> bool:
         """Return whether the causes have physical signs and exclude zero."""
-        k = len(self.body)
         for group in self.groups:
-            value, deviation = float(self.values[k]), float(self.deviations[k])
-            k += len(group.columns)
+            value, deviation = self.size_of(group)
             if group.form is None:
                 continue
             if abs(value) < 2.0 * deviation or (group.form.sign and value < 0.0):
@@ -177,7 +173,8 @@ class Bank:
             self._add_term(name, term, raw)
         snap = record.filtered(raw.position_m, 4)[rows]
         if np.std(snap) > 10.0 * record.position_sd_m * record.gain_of(4):
-            self._add(FLEXIBLE, UNNAMED, "flexibility", None, snap)
+            # D = M a - (m^2 / k) x'''' of a mass m on a spring k: a joint that gives way
+            self._add("fourth derivative of position", UNNAMED, "flexibility", None, snap)
         self._reduce()
 
     def is_constant(self) -> bool:
@@ -202,23 +199,19 @@ class Bank:
             self.missing["mass_kg"] = (
                 "not determined: the acceleration stays within its noise; faster strokes would determine it"
             )
+        reasons = {
+            VISCOUS: "the speed hardly varies; strokes at several speeds would determine it",
+            "offset_n": "the body moves one way only; strokes both ways would separate it from friction",
+        }
         determined: list[str] = []
         for name, column in table.items():
-            before = [table[n] for n in determined]
-            if (
-                determined
-                and difference(np.linalg.qr(np.column_stack(before))[0], column)
-                < LIMITS.min_column_share
-            ):
-                self.missing[name] = {
-                    VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would determine it",
-                    "offset_n": "not determined: the body moves one way only; strokes both ways would separate it from friction",
-                }.get(
-                    name, "not determined: moves with the others; other speeds would separate them"
-                )
+            base = np.linalg.qr(np.array(self._columns).reshape(-1, len(column)).T)[0]
+            if difference(base, column) < LIMITS.min_column_share:
+                why = reasons.get(name, "moves with the others; other speeds would separate them")
+                self.missing[name] = f"not determined: {why}"
             else:
                 determined.append(name)
-        self._columns += [table[name] for name in determined]
+                self._columns.append(column)
         return tuple(determined)
 
     def _add_term(self, name: str, term: Term, raw: Motion) -> None:
@@ -410,3 +403,82 @@ def jackknife(differences: Floats) -> Floats:
     """
     count = len(differences)
     return np.asarray(np.sqrt((count - 1) / count * np.sum(differences**2, axis=0)))
+
+
+# --- which of them are acceptable, and which leads ------------------------------------------
+@dataclass(frozen=True)
+class ForceChoice:
+    """The hypotheses about a record: tried, the plain body first; judged, the best first; the verdict."""
+
+    bank: Bank
+    tried: Sequence[ForceFit]
+    judged: Sequence[ForceFit]
+    verdict: Verdict[ForceFit]
+
+    @property
+    def leader(self) -> ForceFit:
+        """The hypothesis accepted."""
+        return self.verdict.leader
+
+    @property
+    def closest(self) -> ForceFit:
+        """The hypothesis that leaves least, acceptable or not."""
+        return min(self.tried, key=lambda item: item.rms_n)
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise explains what the leader leaves."""
+        return self.leader.rms_n <= LIMITS.max_residual_ratio * self.leader.noise_n
+
+
+def choose(record: Recorded) -> ForceChoice:
+    """Fit all hypotheses to a record and decide between those that are physical."""
+    bank = Bank(record)
+    tried = [bank.attempt(())] if bank.is_constant() else bank.all_tried()
+    bank.calibrate(tried)
+    by_names = {frozenset(item.names): item for item in tried}
+    judged = [item for item in tried if acceptable(item, by_names)]
+    judged.sort(key=lambda item: item.score)
+    while True:
+        verdict = decide(judged, len(tried[0].squares))
+        if all(has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):
+            return ForceChoice(bank, tried, judged, verdict)
+        judged.remove(verdict.leader)
+
+
+def has_one_value(bank: Bank, item: ForceFit, group: TermGroup) -> bool:
+    """Return whether a cause has the same value in both halves of the samples, by each condition.
+
+    A term that only makes up for one that is missing has another value where that acts more. Halves
+    that determine the value poorly contradict nothing.
+    """
+    if group.id == UNNAMED:
+        return True
+    k, (value, _) = bank.columns_of(item.groups).index(group.columns[0]), item.size_of(group)
+    for condition in CONDITIONS.values():
+        values = condition(bank.record.raw)[bank.record.judged]
+        middle = np.median(values)
+        for rows in (values < middle, values >= middle):
+            if len(np.unique(bank.fold[rows])) < 2:
+                continue
+            half, without = bank.unbounded(item.groups, rows)
+            ratio, error = half[k] / value, 2.0 * jackknife(without - half)[k] / abs(value)
+            most = LIMITS.max_value_ratio
+            if ratio + error < 1.0 / most or ratio - error > most:
+                return False
+    return True
+
+
+def acceptable(item: ForceFit, by_names: dict[frozenset[str], ForceFit]) -> bool:
+    """Return whether a hypothesis is physical and gains by each of its causes."""
+    if not item.physical():
+        return False
+    for name in item.names:
+        without = by_names[frozenset(item.names) - {name}]
+        if gain_in_errors(item, without) < LIMITS.min_standard_errors:
+            return False
+        if without.groups and without.rms_n <= LIMITS.max_residual_ratio * without.noise_n:
+            return False  # nothing is missing: the cause corrects the form of the other one
+        if item.whole.excess > 0.5 * max(without.whole.excess, 0.0):
+            return False
+    return True

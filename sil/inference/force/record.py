@@ -37,17 +37,11 @@ from sil.files.quantity import counted
 from sil.inference.campaign.noise import noise_of
 from sil.inference.force.checks import odd_channels
 
-FOLDS = 24
-"""Most groups of strokes that are held out in turn."""
 FEWEST_STROKES = 4
 """With fewer strokes, blocks of time are held out instead."""
 FEWEST_SAMPLES = 200
 RADIUS = 7.0
 """Reach of the filter in standard deviations: cut shorter, its derivatives are not those of one filter."""
-NARROWEST = 1.5
-"""Least width of the filter, in samples: what is near half the sampling rate is left out."""
-
-FORCES = ("force_n", "torque_n_m")
 ROTARY = {"N": "N m", "kg": "kg m^2", "N s/m": "N m s", "N/m": "N m", "N/Pa": "N m/Pa", "m": "rad"}
 
 
@@ -136,6 +130,10 @@ class Recorded:
         """Return the noise of a filtered derivative per noise of a sample [1/s^order]."""
         return float(np.linalg.norm(kernel(self.width, order))) / self.step_s**order
 
+    def away_from_ends(self, steps: float) -> NDArray[np.bool_]:
+        """Return which samples [n], moved by so many steps, the filter keeps from the ends of their part."""
+        return away_from_ends(self.starts, len(self.judged), self.width, int(np.ceil(steps)))
+
     def balance_sd_n(self, mass: float, viscous: float) -> float:
         """Return the standard deviation of the noise of a filtered balance of forces [N]."""
         w = [kernel(self.width, order) / self.step_s**order for order in range(3)]
@@ -223,7 +221,7 @@ def _signals(record: Record, body: Body) -> Floats:
     position = next((record[name] for name in ("position_m", "angle_rad") if name in record), None)
     if position is None:
         raise InputError(f"{path}: no position_m; expected position and a driving force")
-    force = next((record[name] for name in FORCES if name in record), None)
+    force = next((record[name] for name in ("force_n", "torque_n_m") if name in record), None)
     areas = {"pressure_pa": body.piston_area_m2, "pressure_2_pa": body.area_2_m2}
     for name, area in areas.items():
         if area and name not in record:
@@ -284,10 +282,9 @@ def _judged(
 
     counts = [part.shape[1] for part in parts]
     starts = np.cumsum([0, *counts[:-1]])
-    if rig.body.smooth_s is None:
-        width = _width(parts, _joint_noise(noise, counts)[1])
-    else:
-        width = max(1.0, rig.body.smooth_s / step)
+    smooth_s = rig.body.smooth_s
+    joint = _joint_noise(noise, counts)
+    width = _width(parts, joint[1]) if smooth_s is None else max(1.0, smooth_s / step)
     x, f, p, recorded_n = np.concatenate(parts, axis=1)
     v, a = (
         np.concatenate([smoothed(part[0], width, order) for part in parts]) / step**order
@@ -296,7 +293,7 @@ def _judged(
     fast = float(np.quantile(np.abs(v), 0.99))
     slow = 0.05 * fast if rig.body.slow_m_s is None else rig.body.slow_m_s
     moving = np.abs(v) > slow
-    judged = moving & away_from_ends(starts, len(x), int(np.ceil(RADIUS * width)))
+    judged = moving & away_from_ends(starts, len(x), width)
     # A quick turn passes all that is slow between two samples: force and acceleration have steps and
     # pulses there that single samples do not show. Near rest and turns friction is not what the speed says
     turns = np.append(v[1:] * v[:-1] < 0.0, False)
@@ -318,9 +315,11 @@ def _judged(
     if held_out == "strokes":
         pairs = len(kept) >= 2 * FEWEST_STROKES  # there and back
         order = np.searchsorted(kept, stroke) // (2 if pairs else 1)
-        block = order * FOLDS // max(FOLDS, int(order[judged].max()) + 1)
+        count = int(order[judged].max()) + 1
     else:
-        block = np.arange(len(x)) * FOLDS // len(x)
+        order, count = np.arange(len(x)), len(x)
+    folds = 24  # at most
+    block = order * folds // max(folds, count)
     pressure = None if np.isnan(p).any() else p
     raw = Motion(f, v, a, x, pressure, block.astype(np.int64))
     return Recorded(
@@ -350,12 +349,16 @@ def _joint_noise(
     return float(force_sd), float(position_sd)
 
 
-def away_from_ends(starts: NDArray[np.int64], count: int, reach: int) -> NDArray[np.bool_]:
-    """Return which of `count` samples [n] are `reach` samples from both ends of their part."""
-    rows = np.arange(count)
-    ends = np.append(starts[1:], count)
-    part = np.searchsorted(starts, rows, side="right") - 1
-    return np.asarray((rows >= starts[part] + reach) & (rows < ends[part] - reach))
+def away_from_ends(
+    starts: NDArray[np.int64], count: int, width: float, steps: int = 0
+) -> NDArray[np.bool_]:
+    """Return which of `count` samples [n] are the filter's reach and `steps` from the ends of their part."""
+    reach = int(np.ceil(RADIUS * width)) + steps
+    rows, lengths = np.arange(count), np.diff(starts, append=count)
+    first = np.repeat(starts, lengths)
+    return np.asarray(
+        (rows >= first + reach) & (rows < first + np.repeat(lengths, lengths) - reach)
+    )
 
 
 def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -368,13 +371,14 @@ def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.int64]) ->
     return np.cumsum(turned)
 
 
-def _width(parts: list[Floats], position_sd: float) -> float:
+def _width(parts: list[Floats], position_sd: float, least: float = 1.5) -> float:
     """Return the narrowest filter that leaves little noise of acceleration, in samples.
 
+    At least `least`, so that what is near half the sampling rate is left out.
     From half a percent to 5 % of the usual time between two turns: a narrower one lets vibrations
     in, a wider one takes motion away.
     """
-    width, count = NARROWEST, sum(part.shape[1] for part in parts)
+    width, count = least, sum(part.shape[1] for part in parts)
     while True:
         shares = []
         turns = 1
@@ -387,6 +391,6 @@ def _width(parts: list[Floats], position_sd: float) -> float:
                 turns += int(np.count_nonzero(np.diff(level)))
         wider = 1.25 * width
         enough = width >= 0.005 * count / turns and max(shares) <= 0.02
-        if enough or wider > max(NARROWEST, 0.05 * count / turns):
+        if enough or wider > max(least, 0.05 * count / turns):
             return width
         width = wider

@@ -105,8 +105,7 @@ class ForceDiagnosis:
 
     def _cause(self, name: str, item: ForceFit, probability: float) -> ReportedCause:
         group = item.groups[item.ids.index(name)]
-        k = len(item.body) + sum(len(g.columns) for g in item.groups[: item.groups.index(group)])
-        value, deviation = float(item.values[k]), float(item.deviations[k])
+        value, deviation = item.size_of(group)
         assert group.form is not None or name == UNNAMED
         if group.form is None:
             what, parameter, unit = f"a force with the {group.name}", "snap_kg_s2", "kg s^2"
@@ -173,7 +172,7 @@ class ForceDiagnosis:
             taken = 1.0 - item.rms_n**2 / self.plain.rms_n**2
             text = f"removes {taken:.1%} of the held-out squares, {gain_in_errors(item, self.plain):.1f} standard errors"
             if not item.physical():
-                text = f"{item.values[len(item.body)]:.3g} has a sign that is not physical, or includes zero"
+                text = f"{item.size_of(item.groups[0])[0]:.3g} has a sign that is not physical, or includes zero"
             reasons[name] = f"not claimed: {text}"
         return reasons
 
@@ -209,15 +208,13 @@ class ForceDiagnosis:
             group = item.groups[0]
             if group.form is None or group.id in (*self.verdict_.claimed, UNNAMED):
                 continue
-            deviation = float(item.deviations[len(item.body)])
-            free_n = self.bank.free_rms(group)
-            least = (2.0 * needed / item.count) ** 0.5 * max(item.noise_n, item.expected_n) / free_n
-            unit = self._unit(group.form.unit)
+            noise_n = max(item.noise_n, item.expected_n) / self.bank.free_rms(group)
+            least = (LIMITS.min_standard_errors + 1.28) * item.size_of(group)[1]
             sizes[group.id] = {
                 "id": group.id,
                 "parameter": group.form.parameter,
-                "size": max(least, (LIMITS.min_standard_errors + 1.28) * deviation),
-                "unit": unit,
+                "size": max((2.0 * needed / item.count) ** 0.5 * noise_n, least),
+                "unit": self._unit(group.form.unit),
             }
         return list(sizes.values())
 

@@ -12,28 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from sil.inference.force.delay import without_delay
 from sil.inference.force.fit import Bank, ForceFit, TermGroup, gain_in_errors, jackknife
-from sil.inference.force.record import Recorded, read_motion
+from sil.inference.force.record import Recorded
 from sil.inference.force.result import ForceDiagnosis
 from sil.inference.force.terms import difference
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import decide
-
-GIVING_BACK = ("position", "pressure_gain", "pressure times position")
-"""Forces that do no work on the whole when a motion returns."""
-
-
-def diagnose_force(path: str | Path) -> ForceDiagnosis:
-    """Diagnose a campaign with rig = "force".
-
-    Raises InputError as `read_motion` does.
-    """
-    return diagnose_motion(read_motion(path))
 
 
 def diagnose_motion(record: Recorded) -> ForceDiagnosis:
@@ -72,7 +60,6 @@ def _is_robust(bank: Bank, leader: ForceFit, group: TermGroup) -> bool:
     Descriptions that contain the cause are put in its place: one of another class must not leave less
     than those of its own class do.
     """
-    k = bank.columns_of(leader.groups).index(group.columns[0])
     thin = slice(None, None, max(1, len(bank.target) // 5000))
     cause_column = bank.columns[thin, group.columns[0]]
     others = tuple(item for item in leader.groups if item is not group)
@@ -86,9 +73,9 @@ def _is_robust(bank: Bank, leader: ForceFit, group: TermGroup) -> bool:
             (own_class if alike else foreign).append(bank.attempt((*others, other)))
             continue
         item = bank.attempt((*leader.groups, other))
-        ratio = item.values[k] / leader.values[k]
-        most = LIMITS.max_value_ratio
-        if not 1.0 / most < ratio < most or abs(item.values[k]) < 2.0 * item.deviations[k]:
+        value, deviation = item.size_of(group)
+        ratio, most = value / leader.size_of(group)[0], LIMITS.max_value_ratio
+        if not 1.0 / most < ratio < most or abs(value) < 2.0 * deviation:
             return False
     best = min(own_class, key=lambda item: item.rms_n)
     return all(gain_in_errors(item, best) < LIMITS.min_standard_errors for item in foreign)
@@ -98,8 +85,9 @@ def _is_robust(bank: Bank, leader: ForceFit, group: TermGroup) -> bool:
 def _doubts(bank: Bank, plain: ForceFit, delay: str) -> list[str]:
     """Return why nothing can be concluded from this record, none usually: a delay, and more."""
     doubts = [delay] if delay else []
-    # forces that a motion to and fro gives back must not be taken for friction
-    giving_back = [g for g in bank.groups if g.name in GIVING_BACK]
+    # forces that do no work on the whole when a motion returns must not be taken for friction
+    conservative = ("position", "pressure_gain", "pressure times position")
+    giving_back = [group for group in bank.groups if group.name in conservative]
     now, without = (_friction(bank, groups) for groups in ([], giving_back))
     if now and without and not delay:
         doubts.append(now)
@@ -127,9 +115,9 @@ def _friction(bank: Bank, groups: Sequence[TermGroup]) -> str:
     values, without = bank.unbounded(groups)
 
     def combined(weights: dict[str, float]) -> tuple[float, float]:
-        shares = np.zeros(len(values))
-        shares[: len(bank.body)] = [weights.get(name, 0.0) for name in bank.body]
-        return float(shares @ values), float(jackknife((without - values) @ shares))
+        shares = np.array([weights.get(name, 0.0) for name in bank.body])
+        parts, errors = values[: len(shares)], (without - values)[:, : len(shares)]
+        return float(shares @ parts), float(jackknife(errors @ shares))
 
     (power, spread), (mass, mass_spread) = combined(size), combined({"mass_kg": 1.0})
     drives, negative = power < -2.0 * spread, mass < -2.0 * mass_spread

@@ -9,6 +9,7 @@ Checked by: tests/unit/sil/inference/force/test_rig.py
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -43,71 +44,27 @@ def terms() -> dict[str, Term]:
         for name, item in CATALOGUE.items()
         if item.force is not None
     }
+    spring = "a spring, or enclosed gas, whose dead volume and exponent cannot be separated"
+    cubic = "a spring whose rate changes with deflection"
+    drag = "resistance grows with the square of speed"
+    gain = "force in proportion to pressure: error of area or gauge"
+    area = "an effective area that changes with position"
+    signed = partial(ForceTerm, sign=0)
+    under_pressure = partial(signed, needs_pressure=True)
+    stiffness = ForceTerm("stiffness_n_m", "N/m", spring, lambda m, _: centred(m))
+    stiffness_cubic = signed("cubic_n_m3", "N/m^3", cubic, lambda m, _: centred(m) ** 3)
+    quadratic = ForceTerm(
+        "drag_n_s2_m2", "N s^2/m^2", drag, lambda m, _: m.speed_m_s * np.abs(m.speed_m_s)
+    )
+    pressure_gain = under_pressure("area_m2", "m^2", gain, lambda m, _: _pressure(m))
+    geometry = under_pressure("area_per_m_m", "m", area, lambda m, _: _pressure(m) * centred(m))
     return effects | {
-        "stiffness": Term(
-            "stiffness",
-            "mechanics",
-            ForceTerm(
-                "stiffness_n_m",
-                "N/m",
-                "a spring, or enclosed gas, whose dead volume and exponent cannot be separated",
-                lambda m, _s: centred(m),
-            ),
-        ),
-        "stiffness_cubic": Term(
-            "stiffness_cubic",
-            "mechanics",
-            ForceTerm(
-                "cubic_n_m3",
-                "N/m^3",
-                "a spring whose rate changes with deflection",
-                lambda m, _s: centred(m) ** 3,
-                sign=0,
-            ),
-        ),
-        "quadratic_drag": Term(
-            "quadratic_drag",
-            "friction",
-            ForceTerm(
-                "drag_n_s2_m2",
-                "N s^2/m^2",
-                "resistance grows with the square of speed",
-                lambda m, _s: m.speed_m_s * np.abs(m.speed_m_s),
-            ),
-        ),
-        "pressure_gain": Term(
-            "pressure_gain",
-            "gauge",
-            ForceTerm(
-                "area_m2",
-                "m^2",
-                "force in proportion to pressure: error of area or gauge",
-                lambda m, _s: _pressure(m),
-                sign=0,
-                needs_pressure=True,
-            ),
-        ),
-        "pressure times position": Term(
-            UNNAMED,
-            "geometry",
-            ForceTerm(
-                "area_per_m_m",
-                "m",
-                "an effective area that changes with position",
-                lambda m, _s: _pressure(m) * centred(m),
-                sign=0,
-                needs_pressure=True,
-            ),
-        ),
+        "stiffness": Term("stiffness", "mechanics", stiffness),
+        "stiffness_cubic": Term("stiffness_cubic", "mechanics", stiffness_cubic),
+        "quadratic_drag": Term("quadratic_drag", "friction", quadratic),
+        "pressure_gain": Term("pressure_gain", "gauge", pressure_gain),
+        "pressure times position": Term(UNNAMED, "geometry", geometry),
     }
-
-
-FLEXIBLE = "fourth derivative of position"
-"""First sign of a joint that gives way: D = M a - (m^2 / k) x'''' of a mass m on a spring k."""
-
-
-def _direction(motion: Motion) -> Floats:
-    return np.sign(motion.speed_m_s)
 
 
 Over = Callable[[Motion], Floats]
@@ -115,9 +72,13 @@ Over = Callable[[Motion], Floats]
 SMOOTH: dict[str, tuple[str, Over, Over | None]] = {
     "speed": ("friction", lambda m: m.speed_m_s, None),
     "position": ("mechanics", lambda m: m.position_m, None),
-    "position, against the motion": ("friction", lambda m: m.position_m, _direction),
+    "position, against the motion": (
+        "friction",
+        lambda m: m.position_m,
+        lambda m: np.sign(m.speed_m_s),
+    ),
     "pressure": ("gauge", _pressure, None),
-    "pressure, against the motion": ("friction", _pressure, _direction),
+    "pressure, against the motion": ("friction", _pressure, lambda m: np.sign(m.speed_m_s)),
     "position, in proportion to pressure": ("geometry", lambda m: m.position_m, _pressure),
 }
 """Functions without a form: class, what they depend on, what they are multiplied by."""

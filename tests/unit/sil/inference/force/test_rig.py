@@ -10,10 +10,9 @@ import pytest
 from can_dbc.errors import InputError
 from sil.cli import main
 from sil.inference.force.checks import odd_channels
-from sil.inference.force.choice import acceptable, has_one_value
-from sil.inference.force.fit import Bank, gain_in_errors, jackknife
+from sil.inference.force.fit import Bank, acceptable, gain_in_errors, has_one_value, jackknife
 from sil.inference.force.record import read_motion, smoothed
-from sil.inference.force.rig import diagnose_force
+from tests.support.force_rig import diagnose_force
 from tests.unit.sil.inference.made_rig import HEAD, changed, rig, written
 
 
