@@ -6,7 +6,7 @@ import random
 from typing import Any
 
 from sil.simulation.load_scenario import Loaded, from_table
-from sil.swarm.vocabulary import Fault, state, vocabulary
+from sil.swarm.vocabulary import FaultKind, state, vocabulary
 
 SHIFTS = {"N-B": ("neutral", "backward"), "B-N": ("backward", "neutral"),
           "N-F": ("neutral", "forward"), "F-N": ("forward", "neutral"),
@@ -27,7 +27,7 @@ def base(shift: str) -> dict[str, Any]:
     }
 
 
-def faults_of(number: int) -> list[Fault]:
+def faults_of(number: int) -> list[FaultKind]:
     """Which faults scenario `number` has.
 
     The first ones of as many scenarios as there are faults are every fault once, shuffled; a
