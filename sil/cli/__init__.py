@@ -44,7 +44,7 @@ COMMANDS = {
     "bus": "show transports found here, load and worst-case response times of a bus",
 }
 """Command name to one line of help; the command itself is the module of that name in this package,
-with a table `ARGUMENTS` and `run(arguments) -> exit code`."""
+with an example at the end of its docstring, a table `ARGUMENTS` and `run(arguments) -> exit code`."""
 
 _HELP = """\
 usage: opc4 COMMAND ...
@@ -249,10 +249,11 @@ def parser(name: str, command: Any) -> argparse.ArgumentParser:
     """Return the argument parser of a command, given its module."""
     from sil.cli.options import argument
 
+    description, heading, example = command.__doc__.partition("example:")
     options = _Parser(
         prog=f"opc4 {name}",
-        description=command.__doc__,
-        epilog=command.EXAMPLE,
+        description=description,
+        epilog=heading + example,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

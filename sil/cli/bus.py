@@ -2,6 +2,11 @@
 
 Without --dbc it is the project's own contract; with a scenario, the periods are that scenario's; with
 --log, periods and jitter are those measured in the log, and --dbc gives the names.
+
+example:
+  opc4 bus --bitrate 250000
+  opc4 bus --dbc > opc4.dbc
+  opc4 bus --dbc truck.dbc --log monday.asc --channel 1 --bitrate 250000
 """
 
 from __future__ import annotations
@@ -17,12 +22,6 @@ from sil.files.quantity import counted
 if TYPE_CHECKING:
     from sil.coupling.response_times import PeriodicMessage
 
-EXAMPLE = """\
-example:
-  opc4 bus --bitrate 250000
-  opc4 bus --dbc > opc4.dbc
-  opc4 bus --dbc truck.dbc --log monday.asc --channel 1 --bitrate 250000
-"""
 
 OWN = ""
 """What `--dbc` is without a FILE."""

@@ -1,6 +1,10 @@
 """Fit a model to healthy strokes of one unit, or to the shifts in a healthy truck's logs: the baseline of its later diagnoses.
 
 Exit 1: the model is not good enough to diagnose with; it is written all the same.
+
+example:
+  opc4 calibrate healthy/ --model data_sheet.toml --out mine.toml
+  opc4 calibrate monday.asc tuesday.asc --out truck.toml
 """
 
 from __future__ import annotations
@@ -22,11 +26,6 @@ if TYPE_CHECKING:
     from sil.inference.calibrate.calibration import Calibration
     from sil.report.figure import Figure
 
-EXAMPLE = """\
-example:
-  opc4 calibrate healthy/ --model data_sheet.toml --out mine.toml
-  opc4 calibrate monday.asc tuesday.asc --out truck.toml
-"""
 
 ARGUMENTS = (
     argument(

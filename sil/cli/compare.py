@@ -1,4 +1,7 @@
-"""Compare runs: metrics, traces over each other aligned at the request, events that differ."""
+"""Compare runs: metrics, traces over each other aligned at the request, events that differ.
+
+example: opc4 compare runs/lab_n_b-1 runs/lab_n_b-2
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,6 @@ from pathlib import Path
 
 from sil.cli.options import JSON, argument, out
 
-EXAMPLE = "example: opc4 compare runs/lab_n_b-1 runs/lab_n_b-2"
 ARGUMENTS = (
     argument("run", "folders of runs, or their result.json", "RUN", nargs="+", type=Path),
     argument("--exact", "exit 1 if the traces differ in any bit"),

@@ -3,6 +3,11 @@
 The formats follow from the names; .gz packs. Several logs become one, ordered by time; - is standard
 input or output. What is broken in a log is counted, located and left out, or refused with --strict. With --dbc
 the signals are decoded: to CSV (one row per value), MF4 or parquet.
+
+example:
+  opc4 convert runs/full_shift-1/bus.log full_shift.asc
+  opc4 convert day-1.blf day-2.blf day.mf4 --since 2026-01-31T12:00 --pgn 61442,61445
+  candump -L can0 | opc4 convert - signals.csv --dbc truck.dbc
 """
 
 from __future__ import annotations
@@ -18,13 +23,6 @@ from sil.cli.options import JSON, SELECTION, STRICT, TIMES, argument, reading
 if TYPE_CHECKING:
     from sil.j1939.decode import DecodeReport
     from sil.logs.convert import ConvertReport
-
-EXAMPLE = """\
-example:
-  opc4 convert runs/full_shift-1/bus.log full_shift.asc
-  opc4 convert day-1.blf day-2.blf day.mf4 --since 2026-01-31T12:00 --pgn 61442,61445
-  candump -L can0 | opc4 convert - signals.csv --dbc truck.dbc
-"""
 
 
 ARGUMENTS = (

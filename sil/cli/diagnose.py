@@ -1,6 +1,12 @@
 """Compare measured with simulated motion: name the cause of a difference, write an extended model.
 
 Exit 1: the verdict is not `consistent`.
+
+example:
+  opc4 diagnose measured/ --out diagnosis/
+  opc4 diagnose measured/ --next --out first/      then measure first/next/, and
+  opc4 diagnose measured/ first/next/ --out second/
+  opc4 diagnose truck-monday.asc truck-tuesday.asc --out truck-diagnosis/
 """
 
 from __future__ import annotations
@@ -16,14 +22,6 @@ from typing import Any
 
 from can_dbc.errors import InputError
 from sil.cli.options import EFFECTS, JSON, LAYOUT, argument, out
-
-EXAMPLE = """\
-example:
-  opc4 diagnose measured/ --out diagnosis/
-  opc4 diagnose measured/ --next --out first/      then measure first/next/, and
-  opc4 diagnose measured/ first/next/ --out second/
-  opc4 diagnose truck-monday.asc truck-tuesday.asc --out truck-diagnosis/
-"""
 
 ARGUMENTS = (
     argument(

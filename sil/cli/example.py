@@ -1,6 +1,10 @@
 """List the shipped examples, or copy one into a folder: files to start from, each with its commands.
 
 All their data were made by the simulator; README.md of each says how.
+
+example:
+  opc4 example
+  opc4 example truck --out mine
 """
 
 from __future__ import annotations
@@ -10,12 +14,6 @@ import json
 from pathlib import Path
 
 from sil.cli.options import JSON, argument
-
-EXAMPLE = """\
-example:
-  opc4 example
-  opc4 example truck --out mine
-"""
 
 ARGUMENTS = (
     argument("name", "the example to copy", "NAME", nargs="?"),

@@ -1,4 +1,9 @@
-"""Start a firmware of your own from a draft, or check one: compile it, run a shift, say what it costs."""
+"""Start a firmware of your own from a draft, or check one: compile it, run a shift, say what it costs.
+
+example:
+  opc4 firmware --new own.c
+  opc4 firmware --check own.c
+"""
 
 from __future__ import annotations
 
@@ -13,11 +18,6 @@ from sil.cli.options import JSON, argument
 if TYPE_CHECKING:
     from sil.simulation.in_memory import Run
 
-EXAMPLE = """\
-example:
-  opc4 firmware --new own.c
-  opc4 firmware --check own.c
-"""
 ARGUMENTS = (
     NEW,
     argument("--check", "compile FILE with all warnings, run the shift of lab_n_b", "FILE"),

@@ -1,6 +1,8 @@
 """Export the plant or the firmware of a scenario as an FMI 3.0 co-simulation unit.
 
 The unit runs in the Python of the importing tool, with opc4-sil installed there.
+
+example: opc4 fmu plant actuator.fmu --scenario lab_n_b --set valve.D_fall=0.02
 """
 
 from __future__ import annotations
@@ -10,9 +12,6 @@ import os
 from pathlib import Path
 
 from sil.cli.options import FIRMWARE, MODEL, SETTINGS, argument, say
-
-EXAMPLE = "example: opc4 fmu plant actuator.fmu --scenario lab_n_b --set valve.D_fall=0.02"
-
 
 ARGUMENTS = (
     argument("what", "side to export", choices=("plant", "controller")),

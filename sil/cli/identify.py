@@ -1,4 +1,7 @@
-"""Identify flow maps, friction, process exponents or the oil damper from a campaign."""
+"""Identify flow maps, friction, process exponents or the oil damper from a campaign.
+
+example: opc4 identify friction measured/ --out friction/
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,6 @@ import json
 from dataclasses import asdict
 
 from sil.cli.options import JSON, argument, out
-
-EXAMPLE = "example: opc4 identify friction measured/ --out friction/"
 
 WHAT = ("flow", "friction", "alpha", "damper")
 

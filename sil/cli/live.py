@@ -2,6 +2,11 @@
 
 The page is served to this machine only, at an address with a token. Further scenario files can be
 given; the shipped ones are always there. Ends with Ctrl-C.
+
+example:
+  opc4 live
+  opc4 live my_scenario.toml --runs results --no-browser --port 8000
+  opc4 live --firmware own.c
 """
 
 from __future__ import annotations
@@ -10,13 +15,6 @@ import argparse
 from pathlib import Path
 
 from sil.cli.options import argument, say
-
-EXAMPLE = """\
-example:
-  opc4 live
-  opc4 live my_scenario.toml --runs results --no-browser --port 8000
-  opc4 live --firmware own.c
-"""
 
 ARGUMENTS = (
     argument("scenarios", "further scenario files", "SCENARIO", nargs="*"),

@@ -4,6 +4,10 @@ In lockstep it joins a run begun with `opc4 run --external`; file or name of the
 settings, must be those of the run.  With --realtime it runs by the wall clock with any other nodes,
 which may join and leave; Ctrl-C ends it.  The channel is local:NAME (printed by
 `opc4 run`) or a CAN interface; with --realtime also one of python-can, as pcan:PCAN_USBBUS1.
+
+example:
+  opc4 node controller --channel vcan0 --scenario full_shift
+  opc4 node controller --channel vcan0 --realtime
 """
 
 from __future__ import annotations
@@ -15,12 +19,6 @@ import threading
 from pathlib import Path
 
 from sil.cli.options import MODEL, SEED, SETTINGS, argument, say
-
-EXAMPLE = """\
-example:
-  opc4 node controller --channel vcan0 --scenario full_shift
-  opc4 node controller --channel vcan0 --realtime
-"""
 
 WAIT_S = 300.0
 """The first start on a machine compiles the plant's equations."""

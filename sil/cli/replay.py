@@ -7,6 +7,19 @@ LOG is a candump, ASC, BLF, TRC, MF4 or CSV log, packed or not. The firmware has
 run whose result.json is in the folder of LOG, else its defaults with the periods that the log shows.
 Exit 1: something differs; for a truck's log: our firmware does not reach a gear. Exit 2: the log has no
 valve command or shift, or it cannot be used.
+
+example:
+  opc4 replay runs/full_shift-1/bus.log --set controller.filter=false
+  opc4 replay truck.asc.gz --strategy air_cushion
+  opc4 replay truck-1.asc.gz truck-2.asc.gz --summary --out shifts
+
+options of --options FILE, all optional:
+  ignore = ["Etc1.*", "ControllerStatus.estimate_m"]     # signals that are not compared
+  time_s = 0.01                                          # a value may come this much earlier or later
+  [tolerance]                                            # differences up to this are ignored, SI units
+  "ControllerStatus.estimate_m" = 1e-5
+  [edges]
+  window_s = 0.2                                         # an edge moved farther is another edge
 """
 
 from __future__ import annotations
@@ -25,21 +38,6 @@ if TYPE_CHECKING:
     from sil.log_replay.replay import ReplayResult
     from sil.log_replay.truck_replay import TruckReplay
     from sil.logs import Logs
-
-EXAMPLE = """\
-example:
-  opc4 replay runs/full_shift-1/bus.log --set controller.filter=false
-  opc4 replay truck.asc.gz --strategy air_cushion
-  opc4 replay truck-1.asc.gz truck-2.asc.gz --summary --out shifts
-
-options of --options FILE, all optional:
-  ignore = ["Etc1.*", "ControllerStatus.estimate_m"]     # signals that are not compared
-  time_s = 0.01                                          # a value may come this much earlier or later
-  [tolerance]                                            # differences up to this are ignored, SI units
-  "ControllerStatus.estimate_m" = 1e-5
-  [edges]
-  window_s = 0.2                                         # an edge moved farther is another edge
-"""
 
 
 class _PrintMap(argparse.Action):

@@ -2,6 +2,10 @@
 
 SCENARIO is a file, the name of a shipped scenario (see --list), or the result.json of an earlier
 run, which then runs again as it was.
+
+example:
+  opc4 run full_shift --transport local --out first
+  opc4 run lab_n_b --set controller.filter=false --set valve.D_fall=0.01
 """
 
 from __future__ import annotations
@@ -30,11 +34,6 @@ if TYPE_CHECKING:
     from sil.simulation.load_scenario import Loaded, Overrides
     from sil.simulation.runner import Finished
 
-EXAMPLE = """\
-example:
-  opc4 run full_shift --transport local --out first
-  opc4 run lab_n_b --set controller.filter=false --set valve.D_fall=0.01
-"""
 
 ARGUMENTS = (
     argument("scenario", "file or shipped name", "SCENARIO", nargs="?"),

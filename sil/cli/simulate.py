@@ -1,4 +1,7 @@
-"""Simulate the plant alone under each stroke's conditions and commands of a campaign."""
+"""Simulate the plant alone under each stroke's conditions and commands of a campaign.
+
+example: opc4 simulate measured/ --out simulated/ --set friction_length.F_rf_p=60
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,6 @@ if TYPE_CHECKING:
 
     from sil.campaign.campaign import Floats
     from sil.campaign.simulate import SimulatedStroke
-
-EXAMPLE = "example: opc4 simulate measured/ --out simulated/ --set friction_length.F_rf_p=60"
 
 
 ARGUMENTS = (

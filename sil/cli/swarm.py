@@ -2,6 +2,8 @@
 
 TARGET is a scenario (file or shipped name) around which to draw, or a firmware of one's own. Exit
 code 1 if a rule was broken.
+
+example: opc4 swarm own.py --runs 2048 --workers 2 --out night/
 """
 
 from __future__ import annotations
@@ -20,7 +22,6 @@ from sil.files.quantity import counted
 if TYPE_CHECKING:
     from sil.swarm.hunt import Generation, Hunt
 
-EXAMPLE = "example: opc4 swarm own.py --runs 2048 --workers 2 --out night/"
 ARGUMENTS = (
     argument("target", "scenario, or firmware of one's own", "TARGET"),
     argument("--runs", "number of runs, in whole generations of 256", "N", type=int),

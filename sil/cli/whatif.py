@@ -1,6 +1,8 @@
 """Run a study: any values of model, firmware, sensor and bus swept, one table and its figures.
 
 Exit code 3 if a row could not run, else 1 if a row failed, else 0.
+
+example: opc4 whatif sensor_delay --workers 2 --out sweep/
 """
 
 from __future__ import annotations
@@ -19,7 +21,6 @@ from sil.files.quantity import counted
 if TYPE_CHECKING:
     from sil.studies.study import Study, Table
 
-EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
 ARGUMENTS = (
     argument("study", "study file, or a shipped study", "STUDY", nargs="?"),
     argument("--list", "list the shipped studies"),
