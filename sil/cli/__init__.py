@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 
 _STDOUT = "standard output"
-_ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _interrupts: list[int] = []  # signals that arrived: a library may make an error of its own of one
 _interrupted_at: list[str] = []  # FILE:LINE of a user's Python that was running then
@@ -84,7 +84,7 @@ def _shortened(message: str) -> str:
 
 def _handle_signals(handler: Any) -> None:
     """Set what the ending signals do; one that is ignored, as SIGHUP under nohup, stays ignored."""
-    for number in _ENDING_SIGNALS:
+    for number in ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from sil.cli.options import argument
 
 NEW = argument("--new", "write a commented draft that runs as it is, and do nothing else", "FILE", type=Path)  # fmt: skip
-_DRAFTS = Path(__file__).parent / "drafts"
 
 
 def write_draft(command: str, arguments: argparse.Namespace, then: str) -> int:
@@ -22,7 +21,8 @@ def write_draft(command: str, arguments: argparse.Namespace, then: str) -> int:
     from sil.files.overrides import toml_value
 
     path: Path = arguments.new
-    drafts = {draft.suffix: draft for draft in sorted(_DRAFTS.glob(f"{command}.*"))}
+    shipped = sorted((Path(__file__).parent / "drafts").glob(f"{command}.*"))
+    drafts = {draft.suffix: draft for draft in shipped}
     if path.suffix not in drafts:
         expected = " or ".join(f"FILE{suffix}" for suffix in drafts)
         raise InputError(f"{path}: --new: no draft of such a file; expected {expected}")

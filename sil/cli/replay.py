@@ -173,9 +173,6 @@ def _listing(folder: Path) -> str:
 OWN_LOG_ONLY = ("run", "plant", "closed_loop", "against", "options")
 """Options that compare with commands of our own control unit, which a truck's log does not hold."""
 
-NOT_SUMMARY = (*OWN_LOG_ONLY, "firmware", "settings", "strategy", "dbc", "map")
-"""Options without a meaning for --summary, which replays nothing."""
-
 
 def _truck(arguments: argparse.Namespace) -> int | None:
     """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
@@ -213,7 +210,8 @@ def _summary(arguments: argparse.Namespace) -> int:
     from sil.j1939.summary import summarize
     from sil.shifts.reported import PGN_ETC1, PGN_ETC2
 
-    if given := [name for name in NOT_SUMMARY if getattr(arguments, name)]:
+    replaying = (*OWN_LOG_ONLY, "firmware", "settings", "strategy", "dbc", "map")
+    if given := [name for name in replaying if getattr(arguments, name)]:
         option = given[0].replace("settings", "set").replace("_", "-")
         what = "not together with --summary, which replays nothing; expected one of them"
         raise InputError(f"--{option}: {what}")

@@ -16,9 +16,7 @@ from types import FrameType
 from typing import Any
 
 from can_dbc.user_file import crash_places, resolved
-
-ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-NOT_FINISHED = 3
+from sil.cli import ENDING_SIGNALS, NOT_FINISHED
 
 _files: list[str] = []
 

@@ -36,9 +36,6 @@ _SIZES = {
 """Size of each unit in that of its dimension which comes first."""
 _DIMENSIONS = {unit: dimension for dimension, sizes in _SIZES.items() for unit in sizes}
 
-_LIMITS = ("min", "max", "low", "high", "values")
-"""Keys whose unit is that of the table around them."""
-
 
 def in_unit(text: str, unit: str, where: str) -> float | str:
     """Return the number of a text "7bar" in `unit`; a text that is not a number with a unit as it is.
@@ -84,13 +81,10 @@ def without_units(
         return value
     if isinstance(path := value.get("path"), str):
         unit = unit_of_key(path)
+    inherited = dict.fromkeys(("min", "max", "low", "high", "values"), unit)
     return {
         key: without_units(
-            item,
-            source,
-            unit_of_key,
-            unit_of_key(key) or (unit if key in _LIMITS else ""),
-            (*steps, key),
+            item, source, unit_of_key, unit_of_key(key) or inherited.get(key, ""), (*steps, key)
         )
         for key, item in value.items()
     }

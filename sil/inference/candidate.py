@@ -19,9 +19,6 @@ from plant.effects.added_term import compile_terms
 from plant.effects.effect import Need, Starts
 from plant.effects.setup import Setup
 
-EFFECT_PRIOR = 10.0
-"""Width of the prior of an effect's parameter, in typical sizes: weak."""
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -114,7 +111,7 @@ def log_size(parameter: EffectParameter) -> float:
 def precision(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
     """Return the inverse covariance [parameters, parameters] of the prior, in typical sizes."""
     count = sum(len(item.parameters) for item in candidates)
-    out = np.eye(count) / EFFECT_PRIOR**2
+    out = np.eye(count) / 10.0**2  # ten typical sizes wide: weak
     k = 0
     for item in candidates:
         n = len(item.parameters)

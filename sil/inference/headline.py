@@ -15,9 +15,6 @@ from sil.inference.thresholds import UNNAMED
 if TYPE_CHECKING:
     from sil.inference.report import Interval, ReportedCause
 
-SPRING = {"stiffness": "a spring"}
-"""Nouns of causes that are no effects: what would have been seen."""
-
 FIRST = ("leak", "valve timing", "friction")
 """Classes of what would have been seen, those named first."""
 
@@ -70,7 +67,7 @@ def seen_sentence(sizes: Iterable[tuple[str, float, float, str]]) -> str:
             CATALOGUE.values(), key=lambda item: (*FIRST, item.cause_class).index(item.cause_class)
         )
         if item.noun
-    } | SPRING
+    } | {"stiffness": "a spring"}  # no effect of the catalogue
     names = [name for name in nouns if name in of][:3] or list(of)[:3]
     texts = []
     for name in names:

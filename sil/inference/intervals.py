@@ -24,8 +24,6 @@ from sil.inference.fit import FitResult, Fitter
 from sil.inference.report import Interval
 from sil.inference.workers import spread_out
 
-PROFILE_STEPS = (1.0, 2.0, 3.0)
-
 
 def intervals(
     fitter: Fitter, fit: FitResult, misfit: Misfit, workers: int, profile: bool = True
@@ -89,7 +87,7 @@ def _one_side(
     target = 1.92 * inflation
     before = (0.0, 0.0)
     note = ""
-    for step in PROFILE_STEPS:
+    for step in (1.0, 2.0, 3.0):
         there = moved.shared.copy()
         there[index] = base.shared[index] + side * step * wide
         try:
@@ -106,4 +104,4 @@ def _one_side(
             edge = float(np.interp(np.sqrt(target), roots, [before[0], step]))
             return side * edge * sd, note
         before = (step, rise)
-    return side * PROFILE_STEPS[-1] * sd, note or "flat profile"
+    return side * step * sd, note or "flat profile"

@@ -34,10 +34,6 @@ CYLINDER = {
 normal deviations), and the value whose `low` and `high` state another one as a 95 % interval.
 Breakaway is counted against the sliding friction."""
 
-CYLINDER_OFFSETS = {"position": 1e-4, "pressure": 2e3, "oil": 1e4}
-SUPPLY_SD = 0.01
-"""Of the gauge that states the supply of a cylinder's campaign, as a share."""
-
 
 @dataclass(frozen=True)
 class Spread:
@@ -72,7 +68,7 @@ class Spread:
         if (
             is_cylinder
         ):  # not of the unit, but of the campaign: a calibration does not carry it over
-            unit["supply"] = SUPPLY_SD
+            unit["supply"] = 0.01  # share, of the gauge that states it
         delay = value("repeatability.unit_valve_delay_sd")
         gauge_pa = value("repeatability.unit_gauge_offset_sd")
         unit = unit or {
@@ -94,7 +90,7 @@ class Spread:
                 "fall": value("repeatability.valve_delay_sd"),
                 "supply": value("repeatability.supply_sd"),
             },
-            offset=CYLINDER_OFFSETS
+            offset={"position": 1e-4, "pressure": 2e3, "oil": 1e4}
             if is_cylinder
             else {
                 "position": value("repeatability.unit_pot_offset_sd"),

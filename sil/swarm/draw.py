@@ -15,9 +15,6 @@ GEARS = ("neutral", "backward", "forward")
 SUPPLIES_PA = ((1.2e5, 3e5), (4e5, 1e6), (4e5, 1e6))
 """Too low for most shifts, and usual."""
 
-OVERFLOWS_S = (2**31 * 1e-6, 2**32 * 1e-6, 2**31 * 1e-3, 2**32 * 1e-3)
-"""When 32-bit counters of microseconds and of milliseconds overflow."""
-
 SETTINGS: dict[str, tuple[Any, ...]] = {
     "period_s": (0.0025, 0.005),
     "filter": (False,),
@@ -104,5 +101,7 @@ def _set(table: Table, path: str, rng: random.Random) -> None:
 
 def _start_clock(table: Table, rng: random.Random) -> None:
     """Let a counter of the firmware overflow within the run."""
-    start_s = rng.choice(OVERFLOWS_S) - rng.uniform(0.0, table["duration_s"])
+    # 32-bit counters of microseconds and of milliseconds overflow
+    overflows_s = (2**31 * 1e-6, 2**32 * 1e-6, 2**31 * 1e-3, 2**32 * 1e-3)
+    start_s = rng.choice(overflows_s) - rng.uniform(0.0, table["duration_s"])
     table.setdefault("clock", {})["controller_start_s"] = round(start_s, 3)

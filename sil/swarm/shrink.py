@@ -13,27 +13,24 @@ from typing import Any
 from sil.simulation.scenario import FAULT_TABLES
 from sil.swarm.draw import Table
 
-MOST_RUNS = 400
-
 ROWS = (*FAULT_TABLES, "request")
 
 
 def shrink(
-    table: Mapping[str, Any], fails_at: Callable[[Mapping[str, Any]], float | None]
+    table: Mapping[str, Any], fails_at: Callable[[Mapping[str, Any]], float | None], runs: int = 400
 ) -> Table:
     """Return a table with fewer faults and requests, shorter, and with rounder numbers.
 
     fails_at: returns the instant in s at which a table breaks the rule, None if it does not.
-    Takes the first simpler table that still fails, until none does or MOST_RUNS are spent.
+    Takes the first simpler table that still fails, until none does or `runs` are spent.
     """
     smallest = copy.deepcopy(dict(table))
-    runs = 0
     progressed = True
     while progressed:
         progressed = False
         for simpler in _simpler(smallest, fails_at):
-            runs += 1
-            if runs > MOST_RUNS:
+            runs -= 1
+            if runs < 0:
                 return smallest
             if simpler != smallest and fails_at(simpler) is not None:
                 smallest, progressed = simpler, True

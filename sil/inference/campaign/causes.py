@@ -20,9 +20,6 @@ from sil.inference.report import Interval, ReportedCause
 from sil.inference.thresholds import UNNAMED
 from sil.inference.verdict import Judged, Verdict
 
-CLASSES = {"position": "mechanics", "oil": "damper", "pressure": "flow restriction"}
-"""Class of something without a name, by the kind of channel in which it shows most."""
-
 
 def causes_of(
     fitter: Fitter, verdict: Verdict[Judged], judged: list[Judged], final: FitResult, workers: int
@@ -73,7 +70,8 @@ def _without_a_name(
         kind = terms[0].cause_class
         what = f"{terms[0].effect.what}, depending on {form_of(terms[0]).on}"
     else:
-        kind = "internal sensor" if name == "position_internal_m" else CLASSES[kind_of(name)]
+        classes = {"position": "mechanics", "oil": "damper", "pressure": "flow restriction"}
+        kind = "internal sensor" if name == "position_internal_m" else classes[kind_of(name)]
         what = f"in {name.rpartition('_')[0].replace('_', ' ')}"
     text = (
         f"the best hypothesis, {leader.name}, leaves {leader.whole.rms:.3g} times the noise, most in "

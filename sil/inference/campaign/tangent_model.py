@@ -19,9 +19,7 @@ from sil.inference.campaign.model import CampaignModel, Moved
 from sil.inference.campaign.observations import StrokeObservation
 from sil.inference.spread import Spread
 
-STIFF = (1e-8, 3e-9, 1e-9)
 DELAYS = {"rise": "rise_ns", "fall": "fall_ns"}
-DELAY_STEP_S = 20e-9
 
 
 class TangentModel(CampaignModel):
@@ -39,7 +37,7 @@ class TangentModel(CampaignModel):
         setup = here[0]
         sizes, setups = [], []
         for name, step in steps.items():
-            h = DELAY_STEP_S if name in DELAYS else float(np.copysign(MOVE, step))
+            h = 20e-9 if name in DELAYS else float(np.copysign(MOVE, step))
             setups.append(moved(name, h))
             if name in DELAYS:
                 before, after = (getattr(s.timing, DELAYS[name]) for s in (setup, setups[-1]))
@@ -51,7 +49,9 @@ class TangentModel(CampaignModel):
         else:
             # chambers that are full make a cylinder stiff, and steps at the limit of stability magnify a
             # neighbour's distance, never the opposite: the least of several sequences of steps is right
-            others = [predictor.derivatives(setup, setups, sizes, tolerance=t) for t in STIFF]
+            others = [
+                predictor.derivatives(setup, setups, sizes, tolerance=t) for t in (1e-8, 3e-9, 1e-9)
+            ]
             states = others[0][0]
             found = [
                 _least(rates) for rates in zip(*(rates for _states, rates in others), strict=True)

@@ -25,8 +25,6 @@ from sil.studies.bounds.policy import (
 )
 from sil.studies.policies import Floats, Ints
 
-LATEST_START = 22.0
-"""Of a pulse of the stem, in units of a policy."""
 STAGES = ((5, 6, 0.4), (8, 4, 0.35), (12, 1, 0.25))
 """Knots, from load to load, and share of the evaluations of an attempt's stages."""
 BEGINNINGS = 60
@@ -84,7 +82,7 @@ def random_stem(rng: np.random.Generator) -> Floats:
     parts = []
     for n in STEM.values():
         length = np.where(rng.random(n) < 0.5, rng.exponential(1.0, n), NO_PULSE)
-        parts += [rng.uniform(2.0, LATEST_START, n), length]
+        parts += [rng.uniform(2.0, 22.0, n), length]
     return np.concatenate(parts)
 
 
