@@ -19,24 +19,33 @@ import numpy as np
 from sil.inference.problem import Floats
 from sil.inference.thresholds import LIMITS
 from sil.inference.truck.causes import Cause
-from sil.inference.truck.fit import FINE_M, SIZE_SD, Fit, Fitter
+from sil.inference.truck.fit import FINE_M, PRIORS, Fit, Fitter
 from sil.inference.truck.gains import Beside, secants
 from sil.inference.workers import spread_out
 
-SURE: Final = 1.28
-"""Standard deviations of the evidence for 90 % certainty to notice."""
-SEPARABLE: Final = 9.0
-"""Chi squared by which two causes must differ to count as separable: three standard deviations."""
-LARGEST_RIVAL: Final = 10.0
-"""Size up to which another cause is tried, in typical ones: three deviations of a size's prior."""
-FIRST: Final = 0.8
-GROWTH: Final = 1.6
-TRIES: Final = 4
-"""Sizes that are tested: the first by that of a linear model, the factor to the next, how many."""
-LARGEST: Final = 20.0
-ROUNDS: Final = 8
-TINY: Final = 1e-6
-"""Size up to which a cause is tested, in typical ones."""
+
+@dataclass(frozen=True)
+class Tested:
+    """What counts as noticed, and which sizes are tested; sizes in typical ones.
+
+    sure: standard deviations of the evidence for 90 % certainty; separable: chi squared by which two causes
+    differ that can be told apart, three standard deviations; largest_rival: size up to which another cause
+    is tried: three deviations of a size's prior; first: the first size by that of a linear model, growth to
+    the next, at most `tries` and up to `largest`; rounds of each fit; tiny: least information of a cause.
+    """
+
+    sure: float = 1.28
+    separable: float = 9.0
+    largest_rival: float = 10.0
+    first: float = 0.8
+    growth: float = 1.6
+    tries: int = 4
+    largest: float = 20.0
+    rounds: int = 8
+    tiny: float = 1e-6
+
+
+TESTED: Final = Tested()
 
 
 @dataclass(frozen=True)
@@ -75,20 +84,20 @@ def detectable_of(
     alarm = log((1.0 - LIMITS.max_healthy_probability) / LIMITS.max_healthy_probability)
 
     usual = _seeing(fitter, truck.position_m)
-    least = usual.improved(truck, FINE_M, ROUNDS).cost
+    least = usual.improved(truck, FINE_M, TESTED.rounds).cost
 
     def noticed(k: int) -> float | None:
-        own_information = max(float(information[k, k]), TINY)
-        needed = prior + alarm + 0.5 * log(1.0 + own_information * SIZE_SD**2)
-        # gain - SURE sqrt(2 gain) = needed; a linear cause gains size^2 information / 2
-        gain = 0.5 * (SURE + sqrt(SURE**2 + 2.0 * needed)) ** 2
-        size = FIRST * sqrt(2.0 * gain / own_information) * (own[k].sign or 1)
-        for _ in range(TRIES):
-            if own[k].clipped(size) != size or abs(size) > LARGEST:
+        own_information = max(float(information[k, k]), TESTED.tiny)
+        needed = prior + alarm + 0.5 * log(1.0 + own_information * PRIORS.size_sd**2)
+        # gain - TESTED.sure sqrt(2 gain) = needed; a linear cause gains size^2 information / 2
+        gain = 0.5 * (TESTED.sure + sqrt(TESTED.sure**2 + 2.0 * needed)) ** 2
+        size = TESTED.first * sqrt(2.0 * gain / own_information) * (own[k].sign or 1)
+        for _ in range(TESTED.tries):
+            if own[k].clipped(size) != size or abs(size) > TESTED.largest:
                 return None
-            if fitted_cost(fitter, truck, own[k], size) - least > gain:
+            if fitted_cost(fitter, truck, own[k], size, least + gain) - least > gain:
                 return size
-            size *= GROWTH
+            size *= TESTED.growth
         return None
 
     sizes = spread_out(noticed, range(len(own)), workers)
@@ -99,14 +108,16 @@ def detectable_of(
     ]
 
 
-def fitted_cost(fitter: Fitter, truck: Fit, cause: Cause, size: float) -> float:
-    """Return the cost of a healthy truck fitted to shifts of `truck` with a cause of a size."""
+def fitted_cost(
+    fitter: Fitter, truck: Fit, cause: Cause, size: float, enough: float = -np.inf
+) -> float:
+    """Return the cost, down to `enough`, of a healthy truck fitted to shifts of `truck` with a cause of a size."""
     which = np.arange(len(fitter.model))
     amounts = fitter.layout.amounts(truck.unit, truck.each)
     x, done = fitter.model.positions(which, amounts, cause, size)
     if not done.all():
         return float("inf")
-    return _seeing(fitter, x).improved(truck, FINE_M, ROUNDS).cost
+    return _seeing(fitter, x).improved(truck, FINE_M, TESTED.rounds, enough=enough).cost
 
 
 def _seeing(fitter: Fitter, position_m: Floats | None) -> Fitter:
@@ -122,21 +133,23 @@ def _alike(information: Floats, causes: Sequence[Cause], k: int, size: float) ->
     tested = max(abs(size), 1.0) * (causes[k].sign or 1)
     apart = distances(information, causes, k, tested).tolist()
     pairs = zip(causes, apart, strict=True)
-    return tuple(other.id for other, by in pairs if by < SEPARABLE and other is not causes[k])
+    return tuple(
+        other.id for other, by in pairs if by < TESTED.separable and other is not causes[k]
+    )
 
 
 def distances(information: Floats, causes: Sequence[Cause], k: int, size: float) -> Floats:
     """Return how far [causes] cause k of a size a is from each, of that one's best size b.
 
     d = a^2 I_kk - 2 a b I_kj + b^2 I_jj, in chi squared, with the truck's own quantities marginalised;
-    b is physical and at most LARGEST_RIVAL. information: [causes, causes]; size: in typical ones. Where
+    b is physical and at most TESTED.largest_rival. information: [causes, causes]; size: in typical ones. Where
     both signs of cause k are physical, the nearer one counts.
     """
     out = np.empty(len(causes))
     for j, other in enumerate(causes):
         own, across = max(float(information[j, j]), 1e-12), float(information[k, j])
         low, high = other.bounds
-        low, high = max(low, -LARGEST_RIVAL), min(high, LARGEST_RIVAL)
+        low, high = max(low, -TESTED.largest_rival), min(high, TESTED.largest_rival)
         signed = (size,) if causes[k].sign else (size, -size)
         best = [(a, min(max(a * across / own, low), high)) for a in signed]
         out[j] = min(

@@ -24,31 +24,47 @@ from sil.inference.truck.simulator import Bools, Ints, ShiftModel
 
 Rng = np.random.Generator
 
-TAIL: Final = 4.0
-"""Degrees of freedom of a position's error."""
-UNIT_TAIL: Final = 6.0
-"""Degrees of freedom of what differs between trucks: an unusual truck is no faulty one."""
-SIZE_SD: Final = 3.0
-SIZE_TAIL: Final = 2.0
-"""Prior scale of a cause's size, in typical ones, and its degrees of freedom: a severe fault is no less a fault."""
-FARTHEST_SD: Final = 8.0
-"""No quantity is tried farther out."""
+
+@dataclass(frozen=True)
+class Priors:
+    """Distributions that a fit assumes; typical sizes of a cause are 1.
+
+    tail: degrees of freedom of a position's error; unit_tail: of what differs between trucks: an unusual
+    truck is no faulty one; size_sd, size_tail: scale and degrees of freedom of a cause's size: a severe
+    fault is no less a fault; instant_s: standard deviation of the instant of a pulse; spreads: limits of an
+    estimated spread between shifts, by its usual value.
+    """
+
+    tail: float = 4.0
+    unit_tail: float = 6.0
+    size_sd: float = 3.0
+    size_tail: float = 2.0
+    instant_s: float = 7e-5
+    spreads: tuple[float, float] = (0.02, 3.0)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How a fit moves.
+
+    farthest_sd: no quantity is tried farther out; dampings: of the steps tried at once; short: share of an
+    undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
+    impossible: cost of a shift that cannot be simulated.
+    """
+
+    farthest_sd: float = 8.0
+    dampings: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0, 10.0)
+    short: float = 0.4
+    trip_draws: int = 4
+    impossible: float = 1e6
+
+
+PRIORS, STEPS = Priors(), Steps()
 COARSE_M, MIDDLE_M, FINE_M = 1e-3, 1e-4, 1e-5
 """Errors of the model that a stage allows for: first large, so that a fit finds its way."""
-INSTANT_S: Final = 7e-5
-"""Standard deviation of the instant of a pulse."""
 FIRST_FACTOR: Final = 4.0
 """Factor of the noise at which the last stage begins."""
 FACTORS: Final[Floats] = np.exp(np.linspace(0.0, np.log(40.0), 80))
-SPREADS: Final = (0.02, 3.0)
-"""Limits of an estimated spread between shifts, by its usual value."""
-DAMPINGS: Final = (0.0, 0.01, 0.1, 1.0, 10.0)
-SHORT: Final = 0.4
-"""Share of an undamped step that is tried besides the whole one."""
-TRIP_DRAWS: Final = 4
-"""Supplies of a trip that are drawn, with the present one."""
-IMPOSSIBLE: Final = 1e6
-"""Cost of a shift that cannot be simulated."""
 STEEPEST_M: Final = 15e-3
 """Derivative of a position by a standard deviation, at most: beyond, it is a jump."""
 PULSE_S: Final = 0.01
@@ -148,16 +164,16 @@ class Fitter:
 
     def variance(self, error_m: float, factor: float = 1.0) -> Floats:
         """Return the squared scale [shifts, pulses] of a position's error in m^2; error_m: that of the model."""
-        instant_s = INSTANT_S * max(1.0, error_m / FINE_M) ** 0.5
+        instant_s = PRIORS.instant_s * max(1.0, error_m / FINE_M) ** 0.5
         noise = self.noise_m**2 + error_m**2 + (instant_s * self.speed_m_s) ** 2
         return np.asarray(factor**2 * noise)
 
     def _misfit(self, x: Floats, done: Bools, which: Ints, variance: Floats) -> Floats:
         """Return the cost [n] of predicted positions [n, pulses] by Student's t."""
         ratio = self.off(x, which) ** 2 / variance[which]
-        tail = 0.5 * (TAIL + 1.0) * np.log1p(ratio / TAIL)
+        tail = 0.5 * (PRIORS.tail + 1.0) * np.log1p(ratio / PRIORS.tail)
         cost = np.where(self.model.recorded[which], tail, 0.0).sum(axis=1)
-        return np.where(done & np.isfinite(cost), cost, IMPOSSIBLE)
+        return np.where(done & np.isfinite(cost), cost, STEPS.impossible)
 
     def prior_cost(self, fit: Fit) -> float:
         """Return the cost of the priors of a fit."""
@@ -171,8 +187,10 @@ class Fitter:
     def factor_of(self, x: Floats) -> float:
         """Return the likeliest factor of the noise that leaves positions [shifts, pulses]."""
         ratio = (self.off(x) ** 2 / self.variance(FINE_M))[self.model.recorded]
-        scaled = np.minimum(ratio, 1e8)[:, None] / FACTORS**2 / TAIL
-        cost = self.count * np.log(FACTORS) + 0.5 * (TAIL + 1.0) * np.log1p(scaled).sum(axis=0)
+        scaled = np.minimum(ratio, 1e8)[:, None] / FACTORS**2 / PRIORS.tail
+        cost = self.count * np.log(FACTORS) + 0.5 * (PRIORS.tail + 1.0) * np.log1p(scaled).sum(
+            axis=0
+        )
         return float(FACTORS[int(np.argmin(cost))])
 
     def deviating(self, fit: Fit) -> int:
@@ -267,7 +285,9 @@ class Fitter:
         assert fit.position_m is not None
         rest = np.where(self.model.recorded, np.nan_to_num(self.off(fit.position_m)), 0.0)
         ratio = 3.0 if expected else rest**2 / variance
-        weight = np.where(self.model.recorded, (TAIL + 1.0) / (TAIL + ratio) / variance, 0.0)
+        weight = np.where(
+            self.model.recorded, (PRIORS.tail + 1.0) / (PRIORS.tail + ratio) / variance, 0.0
+        )
         return rest, weight
 
     def system(
@@ -281,8 +301,10 @@ class Fitter:
         rest, weight = self.weighted_residual(fit, variance, expected)
         by_unit, by_own = derivatives[:, :, :shared], self.own_derivatives(derivatives)
         weighted, weighted_own = by_unit * weight[..., None], by_own * weight[..., None]
-        size_prior = (SIZE_TAIL + 1.0) / (SIZE_TAIL * SIZE_SD**2 + fit.size**2)
-        prior = np.append((UNIT_TAIL + 1.0) / (UNIT_TAIL + fit.unit**2), size_prior)[:shared]
+        size_prior = (PRIORS.size_tail + 1.0) / (PRIORS.size_tail * PRIORS.size_sd**2 + fit.size**2)
+        prior = np.append((PRIORS.unit_tail + 1.0) / (PRIORS.unit_tail + fit.unit**2), size_prior)[
+            :shared
+        ]
         value = np.append(fit.unit, fit.size)[:shared]
         turned = np.swapaxes
         return System(
@@ -303,16 +325,19 @@ class Fitter:
         least: float = 0.3,
         fixed: bool = False,
         kept: Sequence[int] = (),
+        enough: float = -np.inf,
     ) -> Fit:
         """Return a fit after at most so many rounds of steps that each gain `least`.
 
-        fixed: its size is kept; kept: columns of the truck's quantities that are.
+        fixed: its size is kept; kept: columns of the truck's quantities that are; enough: cost at which it ends.
         """
         variance = self._variance_of(fit, error_m)
         fit = self.evaluated(fit, error_m)
         stuck, columns = False, np.array(kept, dtype=np.int64)
         which = np.arange(len(self.model))
         for turn in range(rounds):
+            if fit.cost <= enough:
+                break
             side = (1.0, -1.0)[turn % 2]
             derivatives = self.derivatives(fit, 0.4 if stuck else 0.1, (side,))
             system = self.system(fit, derivatives, variance)
@@ -320,9 +345,9 @@ class Fitter:
                 system.shared[-1, -1], system.shared_gradient[-1] = 1e15, 0.0
             system.shared[columns, columns], system.shared_gradient[columns] = 1e15, 0.0
             trials = []
-            for damping in DAMPINGS:
+            for damping in STEPS.dampings:
                 moved, own = system.step(damping)
-                shares = (1.0, SHORT) if damping == 0.0 else (1.0,)
+                shares = (1.0, STEPS.short) if damping == 0.0 else (1.0,)
                 trials += [self._moved(fit, share * moved, share * own) for share in shares]
             x, done = self.model.positions(
                 np.tile(which, len(trials)),
@@ -352,8 +377,8 @@ class Fitter:
     def _moved(self, fit: Fit, shared: Floats, own: Floats) -> Fit:
         """Return a fit after a step, within the limits."""
         units = len(self.layout)
-        unit = np.clip(fit.unit + shared[:units], -FARTHEST_SD, FARTHEST_SD)
-        each = np.clip(fit.each + own, -FARTHEST_SD, FARTHEST_SD) * self.mask
+        unit = np.clip(fit.unit + shared[:units], -STEPS.farthest_sd, STEPS.farthest_sd)
+        each = np.clip(fit.each + own, -STEPS.farthest_sd, STEPS.farthest_sd) * self.mask
         size = fit.size if fit.cause is None else fit.cause.clipped(fit.size + shared[units])
         return replace(fit, unit=unit, each=each, size=size)
 
@@ -364,7 +389,7 @@ class Fitter:
         trips = [np.flatnonzero(acts) for acts in self.model.acts[:, self.layout.of_trips].T]
         if error_m == FINE_M:
             trips = []
-        groups = TRIP_DRAWS if trips else 1
+        groups = STEPS.trip_draws if trips else 1
         anywhere = rng.random((n, number, 1)) < 0.5
         near = rng.choice([0.1, 0.3], (n, number, 1))
         width = np.where(anywhere, np.maximum(fit.spread, 0.7), near * np.maximum(fit.spread, 0.2))
@@ -420,7 +445,7 @@ class Fitter:
             acts = self.mask[:, column]
             if acts.sum() >= 2:
                 square = fit.each[acts, column] ** 2 + variance[acts, column]
-                spread[column] = np.clip(np.sqrt(square.mean()), *SPREADS)
+                spread[column] = np.clip(np.sqrt(square.mean()), *PRIORS.spreads)
         fit = replace(fit, spread=spread, noise_factor=self.factor_of(fit.position_m))
         return self.evaluated(fit, FINE_M)
 
@@ -449,7 +474,7 @@ class Fitter:
         size_sd = 0.0
         if fit.cause is not None:
             size_sd = float(sd[-1])
-            norm += np.log(SIZE_SD / size_sd) - (np.log(2.0) if fit.cause.sign else 0.0)
+            norm += np.log(PRIORS.size_sd / size_sd) - (np.log(2.0) if fit.cause.sign else 0.0)
         evidence = -(fit.cost + float(norm))
         return replace(fit, evidence=evidence, size_sd=size_sd, unit_sd=sd[: len(self.layout)])
 
@@ -483,12 +508,14 @@ class Fitter:
 
 def _tail_cost(unit: Floats) -> Floats:
     """Return the cost of quantities of a truck [...] by Student's t."""
-    return np.asarray(0.5 * (UNIT_TAIL + 1.0) * np.log1p(unit**2 / UNIT_TAIL))
+    return np.asarray(0.5 * (PRIORS.unit_tail + 1.0) * np.log1p(unit**2 / PRIORS.unit_tail))
 
 
 def _size_cost(size: float) -> float:
     """Return the cost of a cause's size by Student's t."""
-    return float(0.5 * (SIZE_TAIL + 1.0) * np.log1p((size / SIZE_SD) ** 2 / SIZE_TAIL))
+    return float(
+        0.5 * (PRIORS.size_tail + 1.0) * np.log1p((size / PRIORS.size_sd) ** 2 / PRIORS.size_tail)
+    )
 
 
 def _own_cost(each: Floats, spread: Floats) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sil.inference.problem import Floats
 from sil.inference.truck.causes import Cause
-from sil.inference.truck.fit import FINE_M, SIZE_SD, STEEPEST_M, Fit, Fitter
+from sil.inference.truck.fit import FINE_M, PRIORS, STEEPEST_M, Fit, Fitter
 
 SIZES: Final = (0.4, 3.0)
 """Typical sizes at which secants are taken."""
@@ -83,7 +83,7 @@ def gains_of(fitter: Fitter, fit: Fit, causes: Sequence[Cause]) -> list[tuple[fl
         sizes = cause.sizes(*SIZES)
         matrix, gradients = beside.information(secants(fitter, fit, cause, sizes))
         for size, own, gradient in zip(sizes, np.diag(matrix), gradients.tolist(), strict=True):
-            there = gradient / (max(float(own), 0.0) + 1.0 / SIZE_SD**2)
+            there = gradient / (max(float(own), 0.0) + 1.0 / PRIORS.size_sd**2)
             if there * size > 0.0:
                 best = max(best, (0.5 * gradient * there, there))
         gains.append(best)

@@ -11,7 +11,7 @@ Checked by: tests/unit/sil/inference/truck/test_search.py
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -34,29 +34,44 @@ from sil.inference.truck.simulator import ShiftModel, trips_of
 from sil.inference.workers import Stages, spread_out
 from sil.log_replay.recorded_shifts import RecordedShift
 
-FIRST_SHIFTS: Final = 6
-"""Shifts that a first look takes."""
-HEALTHY_SEEDS: Final = (5, 6, 7, 8)
-"""Of the random quantities from which a healthy truck that does not explain the shifts is fitted again."""
-SUPPLIES: Final = (0.0, -0.18, -0.09, 0.09)
-"""Deviations of the supply pressure at which a healthy truck is fitted first, ..."""
-KNOWN_SUPPLIES: Final = (0.0, 0.02)
-"""... and where the log states it."""
-FIRST_SIZES: Final = (1.5, 5.0, 15.0)
-LATER_SIZES: Final = (0.8, 1.25)
-"""Factors on the leading cause's size that are tried."""
-MOST_VARIANTS: Final = 2
-"""Variants of an effect that a first look takes."""
-NEAR, NEAR_FITTED, WIDE_FITTED, LEADING = 14, 6, 6, 3
-"""Causes fitted near the healthy truck; of these, and of those in a usual truck from each size, fitted in full; contested."""
-HOPELESS: Final = 40.0
-"""Cost behind the best of its kind from which a coarse fit is not continued."""
-CROSSED: Final = 8
-"""Causes that are fitted again in the truck of the leading one."""
-CONTESTING, CONTEST = 12, 15.0
-"""Causes that are fitted at other sizes, and log evidence behind the first within which they are."""
-LEAST_GAIN: Final = 1.5
-"""Log evidence that a cause gains at least, by secants, to be fitted."""
+
+@dataclass(frozen=True)
+class Effort:
+    """How far the search goes.
+
+    Of a truck without a cause: supplies (known_supplies where the log states it): deviations at which it is
+    fitted first; seeds: of random quantities from which it is fitted again unless it explains the shifts.
+    Near it: causes that gain at least least_gain of log evidence by secants are fitted, at most `near`,
+    near_fitted of them in full. In a usual truck (wide): sizes tried first, first_shifts that a first look
+    takes, variants of an effect, and of each size causes continued and fitted in full. hopeless: cost
+    behind the best from which a coarse fit is not continued; behind, completed: cost, and number of causes,
+    from which a full one is not, before its last stage. crossed: causes fitted again in the truck of the
+    leading one; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
+    leading: causes contested by other variants, and by a healthy truck from where they are.
+    """
+
+    supplies: tuple[float, ...] = (0.0, -0.18, -0.09, 0.09)
+    known_supplies: tuple[float, ...] = (0.0, 0.02)
+    seeds: tuple[int, ...] = (5, 6, 7, 8)
+    least_gain: float = 1.5
+    near: int = 14
+    near_fitted: int = 6
+    first_sizes: tuple[float, ...] = (1.5, 5.0, 15.0)
+    first_shifts: int = 6
+    variants: int = 3
+    wide_continued: int = 12
+    wide_fitted: int = 6
+    hopeless: float = 40.0
+    behind: float = 12.0
+    completed: int = 12
+    crossed: int = 8
+    contesting: int = 12
+    contest: float = 15.0
+    later_sizes: tuple[float, ...] = (0.8, 1.25)
+    leading: int = 3
+
+
+EFFORT: Final = Effort()
 
 
 @dataclass
@@ -83,7 +98,7 @@ class Search:
         trips_from: Sequence[RecordedShift] = (),
     ) -> Search:
         """Return the search over the shifts of one truck; trips_from: all of its shifts, if these are some."""
-        few = spread(shifts, FIRST_SHIFTS)
+        few = spread(shifts, EFFORT.first_shifts)
         first = [k for k, shift in enumerate(shifts) if any(shift is own for own in few)]
 
         trips = trips_of(trips_from or shifts)
@@ -103,45 +118,32 @@ class Search:
         healthy = fits[0]
         gains = gains_of(self.fitters[healthy.mounted], healthy, self.causes)
         near = self._near(healthy, gains, stages)
-        wide: dict[int, list[Fit]] = {}
+        best = _best_of(near, EFFORT.near_fitted)
         if not self.is_explained(healthy):
-            mountings = dict.fromkeys((True, healthy.mounted))
-            jobs = [
-                (mounted, cause, size, seed)
-                for mounted in mountings
-                for cause in self._first_look()
-                for seed, size in enumerate(cause.sizes(*FIRST_SIZES[: 3 if cause.sign else 2]))
-            ]
-            fits_of = spread_out(self._coarse, jobs, self.workers, stages.until(50.0))
-            for (*_, size, _), fit in zip(jobs, fits_of, strict=True):
-                # a coarse fit cannot tell sizes apart: the best from each of them goes on
-                wide.setdefault(int(np.searchsorted(FIRST_SIZES, abs(size))), []).append(fit)
-        if not near and not wide:
+            best += self._wide(dict.fromkeys((True, healthy.mounted)), stages)
+        if not best:
             return fits
-        best = _best_of(near, NEAR_FITTED)
-        for own in wide.values():
-            best += _best_of(own, WIDE_FITTED)
-        chosen = [(fit, 5) for fit in best]
-        full = spread_out(self._full, chosen, self.workers, stages.until(75.0))
-        full.sort(key=lambda fit: -fit.evidence)
-        again = self._challengers(full)
-        full += spread_out(self._full, again, self.workers, stages.until(85.0))
+        full = self._in_full([(fit, 5) for fit in _unlike(best)], stages.until(75.0))
+        full += self._in_full(self._challengers(full), stages.until(85.0))
         full.sort(key=lambda fit: -fit.evidence)
         if full[0].cause is not None and full[0].evidence > healthy.evidence + 3.0:
-            contesting = _best_of(full, CONTESTING, lambda fit: -fit.evidence, CONTEST)
-            sizes = [(f, factor) for f in contesting if f.cause for factor in LATER_SIZES]
-            full += spread_out(self._at_size, sizes, self.workers, stages.until(95.0))
-        leading = _best_of(full, LEADING, lambda fit: -fit.evidence, np.inf)
+            contesting = _best_of(
+                full, EFFORT.contesting, lambda fit: -fit.evidence, EFFORT.contest
+            )
+            sizes = [(f, by) for f in contesting if f.cause for by in EFFORT.later_sizes]
+            begun = spread_out(self._at_size, sizes, self.workers, stages.until(92.0))
+            full += self._completed(begun, stages.until(95.0))
+        leading = _best_of(full, EFFORT.leading, lambda fit: -fit.evidence, np.inf)
         return fits + full + spread_out(self._without, leading, self.workers, stages.until(98.0))
 
     def healthy_fits(self, stages: Stages) -> list[Fit]:
         """Return fits of a healthy truck from several supplies and mountings, the best first."""
-        supplies = SUPPLIES if self._supply_varies() else KNOWN_SUPPLIES
+        supplies = EFFORT.supplies if self._supply_varies() else EFFORT.known_supplies
         starts = [(True, supply) for supply in supplies] + [(False, 0.0)]
         fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
         fits.sort(key=lambda fit: -fit.evidence)
         if not self.is_explained(fits[0]):
-            again = [(fits[0], seed) for seed in HEALTHY_SEEDS]
+            again = [(fits[0], seed) for seed in EFFORT.seeds]
             fits += spread_out(self._full, again, self.workers, stages.until(20.0))
             fits.sort(key=lambda fit: -fit.evidence)
         return self._with_reference(fits)
@@ -167,7 +169,7 @@ class Search:
         best: dict[str, Fit] = {}
         for fit in sorted(fits, key=lambda fit: -fit.evidence):
             best.setdefault(fit.id, fit)
-        kept = list(best.values())[:LEADING]
+        kept = list(best.values())[: EFFORT.leading]
         if all(fit.cause is not None for fit in kept):
             kept.append(best["healthy"])
         usual = whole.fitters[True].start()
@@ -189,7 +191,7 @@ class Search:
         taken: list[Cause] = []
         number = Counter[str]()
         for cause in self.causes:
-            most = len(self.causes) if len(cause.others) > 1 else MOST_VARIANTS
+            most = len(self.causes) if len(cause.others) > 1 else EFFORT.variants
             if number[cause.id] < most:
                 number[cause.id] += 1
                 taken.append(cause)
@@ -218,8 +220,10 @@ class Search:
         self, healthy: Fit, gains: Sequence[tuple[float, float]], stages: Stages
     ) -> list[Fit]:
         """Fit the causes that gain most beside the healthy truck, from there."""
-        order = sorted(range(len(gains)), key=lambda k: -gains[k][0])[:NEAR]
-        jobs = [(healthy, self.causes[k], gains[k][1]) for k in order if gains[k][0] > LEAST_GAIN]
+        order = sorted(range(len(gains)), key=lambda k: -gains[k][0])[: EFFORT.near]
+        jobs = [
+            (healthy, self.causes[k], gains[k][1]) for k in order if gains[k][0] > EFFORT.least_gain
+        ]
         fits = spread_out(self._beside, jobs, self.workers, stages.until(25.0))
         if self.is_explained(healthy):
             fits = [fit for fit in fits if fit.cost < healthy.cost - 2.0]
@@ -230,34 +234,86 @@ class Search:
         fit = replace(healthy, cause=cause, size=0.3 * size)
         return self.fitters[fit.mounted].improved(fit, FINE_M, 5, least=0.5)
 
+    def _wide(self, mountings: Iterable[bool], stages: Stages) -> list[Fit]:
+        """Fit every cause in a usual truck from several sizes; return the best from each."""
+        sizes = EFFORT.first_sizes
+        jobs = [
+            (mounted, cause, size, seed)
+            for mounted in mountings
+            for cause in self._first_look()
+            for seed, size in enumerate(cause.sizes(*sizes[: 3 if cause.sign else 2]))
+        ]
+        begun = spread_out(self._coarse, jobs, self.workers, stages.until(40.0))
+        # a coarse fit cannot tell sizes apart: the best from each of them goes on
+        begun_at = np.searchsorted(sizes, [abs(size) for *_, size, _ in jobs]).tolist()
+        going = [
+            (at, fit)
+            for at in range(len(sizes))
+            for fit in _best_of(
+                [f for f, k in zip(begun, begun_at, strict=True) if k == at], EFFORT.wide_continued
+            )
+        ]
+        fits = spread_out(
+            self._continued, [fit for _, fit in going], self.workers, stages.until(50.0)
+        )
+        best: list[Fit] = []
+        for at in range(len(sizes)):
+            own = [fit for fit, (k, _) in zip(fits, going, strict=True) if k == at]
+            best += _best_of(own, EFFORT.wide_fitted)
+        return best
+
     def _coarse(self, job: tuple[bool, Cause, float, int]) -> Fit:
         mounted, cause, size, seed = job
         fitter, rng = self.coarse[mounted], np.random.default_rng(seed)
         fit = fitter.rescanned(fitter.start(cause, size), COARSE_M, rng)
-        fit = fitter.improved(fit, COARSE_M, 3, least=1.0)
+        return fitter.improved(fit, COARSE_M, 3, least=1.0)
+
+    def _continued(self, fit: Fit) -> Fit:
+        """Return a coarse fit, continued, with the usual quantities for shifts that it had not."""
+        fitter, rng = self.coarse[fit.mounted], np.random.default_rng(4)
         fit = fitter.rescanned(fit, MIDDLE_M, rng, 32)
         fit = fitter.improved(fit, MIDDLE_M, 4, least=1.0)
-        each = self.fitters[mounted].start().each
+        each = self.fitters[fit.mounted].start().each
         each[self.first] = fit.each
         return replace(fit, each=each)
 
-    def _full(self, job: tuple[Fit, int]) -> Fit:
+    def _in_full(self, jobs: Sequence[tuple[Fit, int]], show: Show) -> list[Fit]:
+        """Return full fits, the best first, without causes that are far behind before the last stage."""
+        return self._completed(spread_out(self._begun, jobs, self.workers), show)
+
+    def _completed(self, begun: Sequence[Fit], show: Show) -> list[Fit]:
+        """Fit those to the end that can catch up, and every healthy truck."""
+        least = min((fit.cost for fit in begun), default=0.0)
+        near = sorted(fit.cost for fit in begun if fit.cause)[: EFFORT.completed]
+        most = min([least + EFFORT.behind, *near[-1:]])
+        kept = [fit for fit in begun if fit.cause is None or fit.cost <= most]
+        fits = spread_out(self._ended, kept, self.workers, show)
+        return sorted(fits, key=lambda fit: -fit.evidence)
+
+    def _begun(self, job: tuple[Fit, int]) -> Fit:
+        """Fit a hypothesis to all shifts, with more than the noise allowed for."""
         fit, seed = job
         fitter, rng = self.fitters[fit.mounted], np.random.default_rng(seed)
         fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 6)
         fit = replace(fit, noise_factor=FIRST_FACTOR, spread=np.ones_like(fit.spread))
-        return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
+        return fitter.improved(fit, FINE_M, 8)
+
+    def _ended(self, fit: Fit) -> Fit:
+        return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9))
+
+    def _full(self, job: tuple[Fit, int]) -> Fit:
+        return self._ended(self._begun(job))
 
     def _challengers(self, full: Sequence[Fit]) -> list[tuple[Fit, int]]:
         """Return what contests the leading hypothesis.
 
         No cause, the next ones in its truck, other variants of the leading causes, the other mounting.
         """
-        leading = list(dict.fromkeys(fit.id for fit in full))[:LEADING]
+        leading = list(dict.fromkeys(fit.id for fit in full))[: EFFORT.leading]
         first = {name: next(fit for fit in full if fit.id == name) for name in leading}
         jobs = [(replace(first[name], cause=None, size=0.0), 9) for name in leading[:2]]
         best = full[0]
-        following = _best_of(full, CROSSED, lambda fit: -fit.evidence, np.inf)[1:]
+        following = _best_of(full, EFFORT.crossed, lambda fit: -fit.evidence, np.inf)[1:]
         jobs += [
             (replace(best, cause=fit.cause, size=fit.size), 8) for fit in following if fit.cause
         ]
@@ -287,7 +343,7 @@ class Search:
             fit = fitter.rescanned(fit, error_m, rng, 64)
             fit = fitter.improved(fit, error_m, 4, fixed=True)
         fit = replace(fitter.improved(fit, MIDDLE_M, 5), noise_factor=FIRST_FACTOR)
-        return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
+        return fitter.improved(fit, FINE_M, 8)
 
 
 def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:
@@ -305,11 +361,21 @@ def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:
     return [shifts[k] for k in sorted(order[at] for at in taken)]
 
 
+def _unlike(fits: Sequence[Fit]) -> list[Fit]:
+    """Return fits without those like a better one before them: of a cause at nearly its size."""
+    kept: list[Fit] = []
+    for fit in fits:
+        like = [k for k in kept if (k.name, k.mounted) == (fit.name, fit.mounted)]
+        if not any(0.8 < fit.size / k.size < 1.25 for k in like if k.size):
+            kept.append(fit)
+    return kept
+
+
 def _best_of(
     fits: Sequence[Fit],
     most: int,
     key: Callable[[Fit], float] = lambda fit: fit.cost,
-    hopeless: float = HOPELESS,
+    hopeless: float = EFFORT.hopeless,
 ) -> list[Fit]:
     """Return the best fit, by least key, of each of the best effects that are not hopeless."""
     best: dict[str, Fit] = {}

@@ -45,6 +45,13 @@ def test_no_round_and_no_scan_makes_a_fit_worse(fitter: Fitter, usual: Fit) -> N
     assert better.cost == pytest.approx(fitter.evaluated(better, COARSE_M).cost)
 
 
+def test_a_fit_ends_where_its_cost_is_low_enough(fitter: Fitter, usual: Fit) -> None:
+    shifted = fitter.evaluated(replace(usual, unit=usual.unit + 0.5), COARSE_M)
+    assert fitter.improved(shifted, COARSE_M, 4, enough=shifted.cost).cost == shifted.cost
+    better = fitter.improved(shifted, COARSE_M, 4)
+    assert better.cost <= fitter.improved(shifted, COARSE_M, 4, enough=better.cost + 1.0).cost
+
+
 def test_the_scale_of_the_noise_is_the_likeliest(fitter: Fitter) -> None:
     sd = np.sqrt(fitter.variance(FINE_M))
     draws = np.random.default_rng(2).standard_t(4.0, sd.shape)

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
+from sil.inference.fit import no_progress
 from sil.inference.truck.causes import catalogue
 from sil.inference.truck.diagnosis import rest_noise_m
 from sil.inference.truck.fit import Fit
-from sil.inference.truck.search import Search, _best_of, spread
+from sil.inference.truck.search import EFFORT, Search, _best_of, _unlike, spread
 from sil.log_replay.recorded_shifts import RecordedShift
 from tests.unit.sil.inference.truck.test_causes import only
 
@@ -41,6 +42,27 @@ def test_of_each_effect_the_best_goes_on_unless_it_is_hopeless() -> None:
     assert [fit.cost for fit in _best_of(fits, 1)] == [3.0]
 
 
+def test_of_a_cause_at_nearly_one_size_the_best_fit_is_kept() -> None:
+    fits = [
+        replace(coarse("detent", cost), size=size) for cost, size in ((1, 1.0), (2, 1.1), (3, 2))
+    ]
+    assert [fit.cost for fit in _unlike(fits)] == [1, 3]
+    other = replace(fits[1], mounted=False)
+    assert len(_unlike([fits[0], other])) == 2
+
+
+def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Search({}, {}, [], [])
+    monkeypatch.setattr(search, "_ended", lambda fit: fit)
+    fits = [coarse("detent", cost) for cost in (5.0, 8.0, 30.0)]
+    fits.append(replace(fits[0], cause=None, cost=90.0))
+    assert {fit.cost for fit in search._completed(fits, no_progress)} == {5.0, 8.0, 90.0}
+    assert search._completed([], no_progress) == []
+    most = EFFORT.completed
+    many = [coarse("detent", 0.1 * k) for k in range(most + 5)]
+    assert len(search._completed(many, no_progress)) == most
+
+
 @pytest.fixture(scope="module")
 def search(shifts: list[RecordedShift]) -> Search:
     return Search.of(shifts, load("nominal"), rest_noise_m(shifts), catalogue())
@@ -50,7 +72,7 @@ def test_a_first_look_has_a_bump_in_every_place_and_few_variants(search: Search)
     names = [cause.id for cause in search._first_look()]
     bumps = [cause for cause in search.causes if cause.id == "friction_bump"]
     assert names.count("friction_bump") == len(bumps) > 2
-    assert names.count("alpha_speed") == 2
+    assert names.count("alpha_speed") == 3
     assert set(names) == {cause.id for cause in search.causes}
 
 
