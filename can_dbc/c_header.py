@@ -16,9 +16,7 @@ from can_dbc.contract import SignalSpec
 from can_dbc.frame import split_id
 from can_dbc.messages import SIGNALS, Chamber, Fault, Gear, OverrideMode, ShiftState
 
-ENUMS: tuple[type[IntEnum] | type[IntFlag], ...] = (Gear, Chamber, ShiftState, Fault, OverrideMode)
 NODE = "Opc4"
-UNITS = {"rad_s": "rad/s", "s": "s", "k": "K", "m": "m"}
 
 
 class _Field(NamedTuple):
@@ -43,7 +41,8 @@ def snake(name: str) -> str:
 
 def unit_of(name: str) -> str:
     """Return the unit that the end of a name states, '' for none."""
-    return next((unit for end, unit in UNITS.items() if name.endswith(f"_{end}")), "")
+    units = {"rad_s": "rad/s", "s": "s", "k": "K", "m": "m"}
+    return next((unit for end, unit in units.items() if name.endswith(f"_{end}")), "")
 
 
 def messages() -> list[type]:
@@ -53,7 +52,7 @@ def messages() -> list[type]:
 
 def header() -> str:
     """Return the part of opc4.h that follows from opc4.dbc and the messages."""
-    parts = [_enum(kind) for kind in ENUMS]
+    parts = [_enum(kind) for kind in (Gear, Chamber, ShiftState, Fault, OverrideMode)]
     for kind in messages():
         parts.append(_struct(kind))
         if NODE in spec_of(kind).receivers:

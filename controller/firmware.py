@@ -36,7 +36,6 @@ CHAMBER_OF = {
 }
 """Chamber whose filling leads to a gear."""
 
-NO_BLOW = SafetyBlow(chamber=Chamber.NONE, active=False, remaining_s=0.0)
 
 _valve_command = lru_cache(ValveCommand)
 _status = lru_cache(ControllerStatus)
@@ -242,7 +241,7 @@ class Firmware:
         target = machine.leg if machine.driving else machine.confirmed
         valves = _valve_command(*duties, target)
         status = _status(machine.state, machine.confirmed, estimate.position_m, faults)
-        blow = NO_BLOW
+        blow = SafetyBlow(Chamber.NONE, False, 0.0)
         if blown is not Chamber.NONE:
             blow = SafetyBlow(blown, True, machine.blow_remaining_ns(now_ns) / 1e9)
         broadcast = self._broadcast

@@ -15,13 +15,6 @@ from plant.kernel.layout import Parameters
 from plant.kernel.packing import Floats
 from plant.parameters import ParameterSet
 
-REASON_BY_SCOPE = {
-    "instrument": "of the instruments; on a run set the sensor's own values instead "
-    "(opc4 simulate applies it)",
-    "stroke": "belongs to a single stroke; a run cannot apply it (opc4 simulate can)",
-}
-"""Why a run cannot apply an effect of this scope."""
-
 
 def applied(
     parameters: ParameterSet, p: Parameters, c: Floats, supply_pa: float, damped: bool
@@ -36,7 +29,11 @@ def applied(
         for name, table in parameters.effects.items()
     }
     for name, values in given.items():
-        why = REASON_BY_SCOPE.get(CATALOGUE[name].scope_of(values))
+        why = {
+            "instrument": "of the instruments; on a run set the sensor's own values instead "
+            "(opc4 simulate applies it)",
+            "stroke": "belongs to a single stroke; a run cannot apply it (opc4 simulate can)",
+        }.get(CATALOGUE[name].scope_of(values))
         if why:
             raise InputError(f"{parameters.name}: [effect.{name}]: {why}")
     conditions = StrokeConditions(

@@ -25,8 +25,6 @@ from sil.firmware.findings import FirmwareFailure
 from sil.firmware.reproduction import program
 from sil.firmware.wasm import Instance, Module, engine, read_module
 
-SIGNALS = "firmware.csv"
-
 
 class CController(TickingNode):
     """A control unit whose program is FILE.c or FILE.wasm.
@@ -140,7 +138,7 @@ class CController(TickingNode):
             for now_ns, values in self._signals:
                 row = (repr(values[name]) if name in values else "" for name in names)
                 rows.append(",".join((f"{now_ns / 1e9:.9f}", *row)))
-            write_atomically(folder / SIGNALS, "\n".join(rows) + "\n")
+            write_atomically(folder / "firmware.csv", "\n".join(rows) + "\n")
 
 
 def modules(path: Path) -> tuple[Module, ...]:

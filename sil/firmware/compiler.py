@@ -29,19 +29,6 @@ MOST_LINES = 60
 EXPORTS = ("fw_in", "fw_out", "fw_contract", "fw_init", "fw_step")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion")
 
-_COMMON = (
-    *("-target", "wasm32-freestanding", "-std=c99", "-g", "-c"),
-    *("-ffp-contract=off", "-fno-math-errno", "-mbulk-memory"),
-)
-_PLAIN = ("-O2", "-fno-sanitize=all")
-_SANITISED = (
-    *("-O1", "-ftrivial-auto-var-init=pattern", "-fno-sanitize-trap=all"),
-    "-fsanitize=undefined,float-cast-overflow,local-bounds",
-)
-_LINK = (
-    *("--no-entry", "--stack-first", "-z", f"stack-size={STACK_BYTES}"),
-    *(f"--export={name}" for name in (*EXPORTS, "__stack_pointer")),
-)
 _PATIENCE_S = 120.0
 _CACHE = Path(platformdirs.user_cache_dir("opc4-sil"))
 
@@ -57,7 +44,16 @@ def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = 
     if built in _built and _is_current(_built[built][0]):
         return _built[built][1]
     read_user_file(path, "C source")
-    flags = (*_COMMON, *(_SANITISED if sanitised else _PLAIN), *options)
+    build: tuple[str, ...] = ("-O2", "-fno-sanitize=all")
+    if sanitised:
+        build = (
+            *("-O1", "-ftrivial-auto-var-init=pattern", "-fno-sanitize-trap=all"),
+            "-fsanitize=undefined,float-cast-overflow,local-bounds",
+        )
+    flags = (
+        *("-target", "wasm32-freestanding", "-std=c99", "-g", "-c"),
+        *("-ffp-contract=off", "-fno-math-errno", "-mbulk-memory", *build, *options),
+    )
     command = (*tool("cc"), *flags, path.name)
     key = "\n".join((str(resolved(path)), header(), _version(), *command))
     stored = _CACHE / "c" / sha256(key.encode()).hexdigest()
@@ -71,7 +67,11 @@ def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = 
         output = ("-I", folder, "-MMD", "-MF", f"{folder}/own.d", "-o", f"{folder}/own.o")
         said = _call(path, (*command, *output))
         undefined = ("--allow-undefined",) if sanitised else ()
-        link = (*_LINK, *undefined, f"{folder}/own.o", "-o", f"{folder}/own.wasm")
+        link = (
+            *("--no-entry", "--stack-first", "-z", f"stack-size={STACK_BYTES}", *undefined),
+            *(f"--export={name}" for name in (*EXPORTS, "__stack_pointer")),
+            *(f"{folder}/own.o", "-o", f"{folder}/own.wasm"),
+        )
         said += _call(path, (*tool("wasm-ld"), *link))
         module = Path(folder, "own.wasm").read_bytes()
         names = Path(folder, "own.d").read_text().partition(":")[2].replace("\\\n", " ").split()

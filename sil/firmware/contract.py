@@ -27,9 +27,6 @@ SIGNAL = struct.Struct("<dI4x")
 FAILURE = struct.Struct("<III")
 SIGNALS_AT = COUNTS.size + MAX_SENT * FRAME.size
 FAILURE_AT = SIGNALS_AT + MAX_SIGNALS * SIGNAL.size
-OUT_SIZE = FAILURE_AT + FAILURE.size
-
-_BASE = Path(__file__).with_name("opc4_base.h")
 
 
 class Step(NamedTuple):
@@ -44,7 +41,7 @@ class Step(NamedTuple):
 @cache
 def header() -> str:
     """Return opc4.h."""
-    text = _BASE.read_text(encoding="ascii")
+    text = Path(__file__).with_name("opc4_base.h").read_text(encoding="ascii")
     text = text.replace("@SETTINGS@\n", c_settings.declaration())
     text = text.replace("@MESSAGES@\n", c_header.header())
     return text.replace("@CONTRACT@", str(crc32(text.encode())))

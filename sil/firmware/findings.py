@@ -37,7 +37,6 @@ _TRAPS = {
     "INDIRECT_CALL_TO_NULL": "call of a null pointer",
     "BAD_SIGNATURE": "call of a function by a pointer of another type",
 }
-_PLACE = re.compile(r"^ +at (?:.*/)?([^/]+:\d+:\d+)$", re.MULTILINE)
 
 
 class FirmwareFailure(Exception):
@@ -63,7 +62,7 @@ def trap_text(trap: Any, max_instructions: int, overflowed: bool) -> str:
     """
     code = trap.trap_code.name if trap.trap_code is not None else "UNREACHABLE"
     names = [frame.func_name or "a function without a name" for frame in trap.frames]
-    places = _PLACE.findall(trap.message)
+    places = re.findall(r"^ +at (?:.*/)?([^/]+:\d+:\d+)$", trap.message, re.MULTILINE)
     inner = [place for place in places if not place.startswith("opc4.h:")]
     where = (inner or places or names[:1] or ["?"])[0]
     what = _TRAPS.get(code, code.lower().replace("_", " "))

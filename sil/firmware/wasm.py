@@ -87,7 +87,8 @@ class Instance:
         self._memory = memoryview(memory.get_buffer_ptr(store)).cast("B")
         room = len(self._memory) - contract.settings_size() - contract.HEAD.size
         room -= contract.MAX_ARRIVED * contract.FRAME.size
-        if not (0 <= self._in <= room and 0 <= self._out <= len(self._memory) - contract.OUT_SIZE):
+        out_size = contract.FAILURE_AT + contract.FAILURE.size
+        if not (0 <= self._in <= room and 0 <= self._out <= len(self._memory) - out_size):
             raise InputError(f"{module.source}: fw_in or fw_out reaches beyond the memory")
         number = struct.unpack_from("<I", self._memory, number_at)[0]
         if number != contract.contract_number():

@@ -13,11 +13,8 @@ from typing import Any
 
 from pythonfmu3 import DefaultExperiment, Float64, Fmi3Slave, Int32
 
-NS = 1_000_000_000
-NUMBERS_IN = ("pulse_s", "coil_temperature_k", "input_rad_s", "output_rad_s")
 CODES_IN = {"sample_index": "number of the latest pulse, 0 to 255; -1 before the first",
             "request": "gear: 0 neutral, 1 backward, 2 forward"}  # fmt: skip
-NUMBERS_OUT = ("duty_b", "duty_n", "duty_f", "blow_remaining_s", "estimate_m")
 CODES_OUT = {"blow_chamber": "0 B, 1 N, 2 F, 3 none", "state": "of the shift state machine",
              "confirmed": "gear: 0 neutral, 1 backward, 2 forward, 3 unknown",
              "faults": "bits of the reported faults"}  # fmt: skip
@@ -46,17 +43,19 @@ class Opc4Controller(Fmi3Slave):
             0.0, scenario.duration_s, scenario.controller.period_s
         )
         self._last_index = -1
-        numbers_in = dict.fromkeys(NUMBERS_IN, 0.0) | {"coil_temperature_k": 293.15}
+        shafts = {"input_rad_s": 0.0, "output_rad_s": 0.0}
+        numbers_in = {"pulse_s": 0.0, "coil_temperature_k": 293.15, **shafts}
         codes_in = {"sample_index": -1, "request": int(gear_of(scenario.initial_gear))}
         codes_out = dict.fromkeys(CODES_OUT, 0) | {"blow_chamber": 3, "confirmed": 3}
         declare(self, Float64, numbers_in, output=False)
         declare(self, Int32, codes_in, output=False, descriptions=CODES_IN)
-        declare(self, Float64, dict.fromkeys(NUMBERS_OUT, 0.0), output=True)
+        numbers_out = ("duty_b", "duty_n", "duty_f", "blow_remaining_s", "estimate_m")
+        declare(self, Float64, dict.fromkeys(numbers_out, 0.0), output=True)
         declare(self, Int32, codes_out, output=True, descriptions=CODES_OUT)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Step the firmware at each of its ticks within this communication step."""
-        begin_ns, end_ns = round(current_time * NS), round((current_time + step_size) * NS)
+        begin_ns, end_ns = round(current_time * 1e9), round((current_time + step_size) * 1e9)
         tick_ns = -(-begin_ns // self.period_ns) * self.period_ns
         while tick_ns < end_ns:
             self._tick(tick_ns)

@@ -17,8 +17,6 @@ from sil.firmware.load import in_module
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import expanded
 
-MODULE = "firmware.wasm"
-
 
 def export(what: str, loaded: Loaded, out: Path) -> None:
     """Write the unit of one side of a scenario to `out`.
@@ -35,7 +33,7 @@ def export(what: str, loaded: Loaded, out: Path) -> None:
         from sil.firmware.c_firmware import modules
 
         module = modules(Path(loaded.scenario.firmware))[-1].content
-        settings["scenario"]["firmware"] = MODULE
+        settings["scenario"]["firmware"] = "firmware.wasm"
     text = json.dumps(settings, sort_keys=True)
     settings["token"] = str(uuid.uuid5(uuid.NAMESPACE_OID, f"{what} {text}{module.hex()}"))
     with tempfile.TemporaryDirectory() as folder:
@@ -45,7 +43,7 @@ def export(what: str, loaded: Loaded, out: Path) -> None:
         resource.write_text(json.dumps(settings, sort_keys=True))
         resources = [resource]
         if module:
-            resources.append(Path(folder) / MODULE)
+            resources.append(Path(folder) / settings["scenario"]["firmware"])
             resources[-1].write_bytes(module)
         built = FmuBuilder.build_FMU(script, Path(folder) / "built", resources)
         write_atomically(out, Path(built).read_bytes())

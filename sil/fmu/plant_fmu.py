@@ -11,7 +11,6 @@ from typing import Any
 
 from pythonfmu3 import DefaultExperiment, Float64, Fmi3Slave, Unit
 
-NS = 1_000_000_000
 DUTIES = ("duty_b", "duty_n", "duty_f")
 STATES = {
     "position_m": "m",
@@ -81,7 +80,7 @@ class Opc4Plant(Fmi3Slave):
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the actuator over one communication step."""
-        begin_ns, end_ns = round(current_time * NS), round((current_time + step_size) * NS)
+        begin_ns, end_ns = round(current_time * 1e9), round((current_time + step_size) * 1e9)
         if begin_ns == 0:
             self.stroke.advance(0)
         switches = []

@@ -27,7 +27,6 @@ BAM_PERIOD_NS: Final = 50_000_000
 MOST_BYTES: Final = 1785
 LEAST_BYTES: Final = 9
 _PACKET_BYTES: Final = 7
-_PRIORITY: Final = 7
 _RTS, _CTS, _ACKNOWLEDGE, _BAM, _ABORT = 16, 17, 19, 32, 255
 
 
@@ -190,9 +189,9 @@ def broadcast(pgn: int, source: int, data: bytes) -> list[Frame]:
     packets = [data[n : n + _PACKET_BYTES] for n in range(0, len(data), _PACKET_BYTES)]
     size, group = len(data).to_bytes(2, "little"), pgn.to_bytes(3, "little")
     announcement = bytes((_BAM, *size, len(packets), 0xFF, *group))
-    packet_id = join_id(_PRIORITY, PGN_DATA, source, GLOBAL)
+    packet_id = join_id(7, PGN_DATA, source)  # to all, at the lowest priority
     return [
-        Frame(join_id(_PRIORITY, PGN_CONTROL, source, GLOBAL), announcement),
+        Frame(join_id(7, PGN_CONTROL, source), announcement),
         *(
             Frame(packet_id, bytes((number,)) + packet.ljust(_PACKET_BYTES, b"\xff"))
             for number, packet in enumerate(packets, 1)

@@ -22,8 +22,6 @@ from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Sta
 from sil.shifts.cutter import Shift, gear_name
 from sil.shifts.engine import EngineTrace
 
-NS_PER_MS = 1e6
-
 
 def excerpts_figure(
     scenes: Sequence[Excerpt],
@@ -37,13 +35,13 @@ def excerpts_figure(
     marks: adds the faults to a panel.
     """
     parts = without_repetition(scenes)
-    pieces = [([(row.time_ns + base_ns) / NS_PER_MS for row in rows], rows) for rows in parts]
+    pieces = [([(row.time_ns + base_ns) / 1e6 for row in rows], rows) for rows in parts]
     pieces = [(times, rows) for times, rows in pieces if rows]
     estimates = _estimates(pieces, labels, base_ns, positions)
     panels = [marks(p) for p in (estimates, _coils(pieces, labels), _states(pieces, labels))]
     zooms = []
     for scene in scenes:
-        times = [(row.time_ns + base_ns) / NS_PER_MS for row in scene.rows]
+        times = [(row.time_ns + base_ns) / 1e6 for row in scene.rows]
         if len(times) > 1:
             name = f"{times[0] / 1e3:.3f} s{', differs' if scene.differs else ''}"
             zooms.append(Zoom(name, times[0], _end(times)))
@@ -102,7 +100,7 @@ def _estimates(
         lines.append(Series(label, times, MM * values, role, "stepped", width=width))
     ends = [(rows[0].time_ns, rows[-1].time_ns) for _, rows in pieces]
     near = [p for p in positions if any(a <= p.time_ns <= b for a, b in ends)]
-    near_ms = np.array([(p.time_ns + base_ns) / NS_PER_MS for p in near])
+    near_ms = np.array([(p.time_ns + base_ns) / 1e6 for p in near])
     for label, position_m, dashed in (
         ("true position, recorded", [p.recorded_m for p in near], False),
         ("true position, plant replayed", [p.replayed_m for p in near], True),
@@ -154,7 +152,7 @@ def positions_figure(
 ) -> Figure:
     """Return the plant's recorded and replayed position, and their difference."""
     both = [p for p in positions if np.isfinite(p.recorded_m)]
-    times = np.array([(p.time_ns + base_ns) / NS_PER_MS for p in both])
+    times = np.array([(p.time_ns + base_ns) / 1e6 for p in both])
     recorded = MM * np.array([p.recorded_m for p in both])
     replayed = MM * np.array([p.replayed_m for p in both])
     lines = [

@@ -32,6 +32,7 @@ from plant.devices.position_circuit import SensorConfig
 from plant.devices.sensors import InductiveSensor
 from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
 from plant.parameters import ParameterSet
+from sil.coupling.clock import NS_PER_S
 from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, is_intact
@@ -40,7 +41,6 @@ from sil.shifts.cutter import CommandedShifts
 
 Floats = NDArray[np.float64]
 
-COMMANDS: Final = (ValveCommand, SafetyBlow)
 NEEDED: Final = {can_id_of(kind): kind for kind in (ValveCommand, PositionPulse)}
 """The messages without which there is no shift, by identifier."""
 LEAD_S: Final = 0.05
@@ -51,17 +51,13 @@ NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
 MOST_PULSES: Final = 96
 GIVEN_UP_S: Final = 0.35
 """Time after which a commanded gear that was not reached is a failed shift, not a change of mind."""
-AFTERWARDS_S: Final = 0.1
-"""A shift that failed is followed so long after its last command."""
 MOVED_M: Final = 3e-4
 """Distance from which the stay has moved."""
-GEAR_NAMES: Final = {Gear.NEUTRAL: "N", Gear.BACKWARD: "B", Gear.FORWARD: "F"}
 CHAMBER_GEARS: Final = "BNF"
 """Gears that the chambers push to, in their order."""
+AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
 FRAME_S: Final = 0.00026
 """Time of a pulse's frame on a bus of 500 kbit/s; another bit rate is part of the delay's prior."""
-AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
-_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -126,7 +122,7 @@ class ShiftReader:
     def take(self, arrival: Arrival) -> RecordedShift | None:
         """Take a frame; return the shift that it completes."""
         time_ns, kind, frame = arrival
-        if kind in COMMANDS:
+        if kind in (ValveCommand, SafetyBlow):
             received = [(time_ns, frame)]
             silent = not self.frames[SafetyBlow] and self.frames[ValveCommand] >= NO_BLOWS
             if silent and kind is ValveCommand:
@@ -201,7 +197,7 @@ class ShiftReader:
 
     def _shift(self, episode: _Episode) -> RecordedShift | str:
         """Return the shift of an episode, or why there is none."""
-        origin_ns = episode.begin_ns - round(LEAD_S * _NS)
+        origin_ns = episode.begin_ns - round(LEAD_S * NS_PER_S)
         readings = [
             (time_ns - origin_ns, message.pulse_s, message.coil_temperature_k, message.sample_index)
             for time_ns, frame in episode.pulses
@@ -214,7 +210,7 @@ class ShiftReader:
         index = np.concatenate([[0.0], np.cumsum(np.diff(number) % 256)])
         if index[-1] < 1.0:
             return "without numbered pulses"
-        arrived /= _NS
+        arrived /= NS_PER_S
         config = SensorConfig()
         period = float(np.polyfit(index, arrived, 1)[0])
         if abs(period / config.period_s - 1.0) < 0.002:  # what a few late frames can do
@@ -236,7 +232,7 @@ class ShiftReader:
         moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > MOVED_M)
         first = max(int(np.searchsorted(measured_s, 0.0)), 1)
         still = end == start and not (len(moving) and moving[-1] >= first)
-        lasted_s = (episode.commands[-1][0] - episode.begin_ns) / _NS
+        lasted_s = (episode.commands[-1][0] - episode.begin_ns) / NS_PER_S
         failed = (
             end is None
             or self._gave_up(episode, origin_ns, measured_s, position)
@@ -246,8 +242,8 @@ class ShiftReader:
             return "without motion"
         if failed:
             end = wanted[-1] if wanted else start
-            off_s = (episode.commands[-1][0] - origin_ns) / _NS
-            last = int(np.searchsorted(measured_s, off_s + AFTERWARDS_S))
+            off_s = (episode.commands[-1][0] - origin_ns) / NS_PER_S
+            last = int(np.searchsorted(measured_s, off_s + 0.1))  # followed a little longer
         else:
             last = int(moving[-1]) + 7 if len(moving) else 0
         last = min(max(last, first + 12), len(position), first + MOST_PULSES)
@@ -258,11 +254,12 @@ class ShiftReader:
             difference = self._difference(episode, origin_ns, measured_s[used], position[used])
         return RecordedShift(
             self._source,
-            episode.begin_ns / _NS,
+            episode.begin_ns / NS_PER_S,
             start,
             end,
             tuple(
-                ((at - origin_ns) / _NS, chamber, duty) for at, chamber, duty in episode.commands
+                ((at - origin_ns) / NS_PER_S, chamber, duty)
+                for at, chamber, duty in episode.commands
             ),
             measured_s[used],
             position[used],
@@ -277,11 +274,11 @@ class ShiftReader:
         """Return whether a gear was commanded for long and not reached before another one was."""
         ends_ns = [*(at for at, _ in episode.targets[1:]), episode.commands[-1][0]]
         for (at_ns, target), end_ns in zip(episode.targets, ends_ns, strict=False):
-            begin_s, end_s = ((at - origin_ns) / _NS for at in (at_ns, end_ns))
+            begin_s, end_s = ((at - origin_ns) / NS_PER_S for at in (at_ns, end_ns))
             during = position_m[(time_s > begin_s) & (time_s < end_s + 0.05)]
             gears = {self._gear(float(x)) for x in during}
-            name = GEAR_NAMES.get(target)
-            if end_s - begin_s > GIVEN_UP_S and name is not None and name not in gears:
+            late = target is not Gear.UNKNOWN and end_s - begin_s > GIVEN_UP_S
+            if late and target.name[0] not in gears:
                 return True
         return False
 
@@ -298,7 +295,7 @@ class ShiftReader:
         near = np.flatnonzero(np.abs(position_m) < 0.25 * self._stroke_m)
         if not len(near) or near[-1] == len(position_m) - 1:
             return 0.0
-        until_ns = origin_ns + round((time_s[near[-1]] + 0.002) * _NS)
+        until_ns = origin_ns + round((time_s[near[-1]] + 0.002) * NS_PER_S)
         for time_ns, frame in reversed(episode.speeds):
             if time_ns <= until_ns and is_intact(DrivelineSpeeds, frame):
                 message = decode(frame)
@@ -360,7 +357,6 @@ def _of_one_bus(log: LogReader) -> Iterator[LogFrame]:
         yield entry
 
 
-_MOST_IDENTIFIERS: Final = 20_000
 DUTIES: Final[tuple[Meaning, ...]] = ("duty_b", "duty_n", "duty_f")
 
 
@@ -387,7 +383,7 @@ class Translator:
 
     def arrivals(self, log: Iterable[LogFrame]) -> Iterator[Arrival]:
         """Yield the frames of our contract that mapped frames [any layout] stand for."""
-        find = lru_cache(_MOST_IDENTIFIERS)(self._mapping.sender)
+        find = lru_cache(20_000)(self._mapping.sender)
         for entry in log:
             if entry.remote or entry.error:
                 continue

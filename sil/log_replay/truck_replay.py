@@ -19,14 +19,12 @@ from sil.files.overrides import NO_SETTINGS, Settings, setting_texts
 from sil.files.progress import Progress
 from sil.j1939.mapping import ANY_SOURCE, SignalMapping
 from sil.log_replay.options import firmware_of
+from sil.log_replay.tick_grid import HEAD_FRAMES
 from sil.log_replay.truck_log import TruckLog, is_data_of
 from sil.log_replay.truck_loop import Input, OurShift, inputs_of, simulate, why_not
 from sil.log_replay.truck_shift import NAMES, RecordedShift, recorded_shift
 from sil.logs import Logs
 from sil.shifts.cutter import TRANSMISSION, gear_name
-
-HEAD_FRAMES: Final = 20_000
-"""A log of our own unit shows a command among so many frames: no need to prepare for a truck's."""
 
 
 @dataclass(frozen=True)

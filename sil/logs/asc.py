@@ -34,7 +34,6 @@ _PLAIN: Final = re.compile(
 """A common line by its parts; any other line in one piece."""
 
 _FLAG_REMOTE: Final = 0x10
-_TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 
 
 _CLASSIC = re.compile(
@@ -210,7 +209,7 @@ class AscReader(TextReader):
         text = line.text.strip()
         if not text:
             return None
-        timed = _TIMED.match(text)
+        timed = re.match(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z", text)
         if timed is None:
             self._header(text, line.number)
             return None

@@ -24,7 +24,6 @@ from sil.logs.writer import TextWriter
 _ERROR_FLAG: Final = 0x20000000
 _DIRECTIONS: Final = {"": "", "R": "Rx", "T": "Tx"}
 
-_TIME = re.compile(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+")
 _COMPACT = re.compile(r"([!-~]{1,64})\s+([0-9A-Fa-f]{1,8})#(\S*)(?:\s+([RT]))?\s*(?:\s;.*)?\Z")
 _PLAIN: Final = re.compile(
     r"^\((\d{1,10}+)\.(\d++)\) ([!-~]{1,64}+) ([01][0-9A-Fa-f]{7}|[0-7][0-9A-Fa-f]{2})"
@@ -41,7 +40,6 @@ _TRUCKDEVIL = re.compile(
     r"([0-9A-F]{8})\s+([0-9A-F]{2}) ([0-9A-F]{4}) ([0-9A-F]{2}) --> ([0-9A-F]{2}) "
     r"\[(\d{4})\] ([0-9A-F]*)\Z"
 )
-_DATA = re.compile(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
 
 
@@ -70,7 +68,7 @@ def parse_line(text: str) -> Parsed:
         raise NotAFrame("error frame explanation line")
     if dropped := _DROPPED.match(line):
         raise NotAFrame("frame dropped by the recorder", int(dropped[1][:9]))
-    timed = _TIME.match(line)
+    timed = re.match(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+", line)
     time_ns = 0
     if timed:
         time_ns = _time(timed[1])
@@ -121,7 +119,7 @@ def _compact(match: re.Match[str]) -> tuple[LogFrame, bool]:
         flags = extended, True, error, False, False, False
         frame = LogFrame(0, can_id, b"", *flags, channel, direction, code)
         return frame, bool(direction or remote[2])
-    data = _DATA.match(body)
+    data = re.fullmatch(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?", body)
     if data is None:
         raise ValueError(f"data {body[:24]!r} is not pairs of hex digits")
     payload = bytes.fromhex(data[2].replace(".", ""))

@@ -21,7 +21,6 @@ from sil.logs.times import format_ns, parse_decimal_ns
 from sil.logs.writer import TextWriter
 
 OUR_HEADER: Final = "time_s,channel,direction,id,extended,remote,error,fd,brs,esi,dlc,data"
-_HEX_BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2})*\Z")
 
 
 def _flag(text: str) -> bool:
@@ -44,7 +43,7 @@ def _number(most: int, what: str, text: str) -> int:
 
 
 def _hex_bytes(text: str) -> bytes:
-    if not _HEX_BYTES.match(text):
+    if not re.fullmatch(r"(?:[0-9A-Fa-f]{2})*", text):
         raise ValueError(f"data {text[:24]!r} is not pairs of hex digits")
     return bytes.fromhex(text)
 

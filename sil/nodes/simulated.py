@@ -27,7 +27,6 @@ TRAFFIC_NODES = 16
 INTRUDER_STEP_NS = 1_000_000
 BABBLED_PGN, INTRUDER_SOURCE = 0xFE20, 0xFB
 _NS_PER_US = 1000
-_BILLION = 1_000_000_000
 
 
 class Node:
@@ -207,7 +206,7 @@ class Drifting:
         self.name = participant.name
         self.close = participant.close
         self.inner = participant
-        self._own = _BILLION + round(ppm * 1000)
+        self._own = NS_PER_S + round(ppm * 1000)
         self._start_ns = start_ns
         self._before_own_ns = self._next_own_ns = 0
 
@@ -232,8 +231,8 @@ class Drifting:
         return frames, max(until_ns + 1, self._simulated(next_own_ns))
 
     def _own_ns(self, simulated_ns: int) -> int:
-        return self._start_ns + simulated_ns * self._own // _BILLION
+        return self._start_ns + simulated_ns * self._own // NS_PER_S
 
     def _simulated(self, own_ns: int) -> int:
         """Return the first simulated ns at which the participant's clock shows `own_ns` or later."""
-        return -((self._start_ns - own_ns) * _BILLION // self._own)
+        return -((self._start_ns - own_ns) * NS_PER_S // self._own)

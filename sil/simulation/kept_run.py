@@ -36,8 +36,6 @@ COLUMNS = (
 )
 """What is read of trace.csv."""
 
-INSTANTS = ("commanded_s", "first_motion_s", "arrived_s", "confirmed_s", "blow_end_s")
-
 
 class _Metrics(msgspec.Struct, frozen=True):
     shifts: list[Shift] = []
@@ -176,6 +174,6 @@ def event_rows(runs: Sequence[KeptRun]) -> list[EventRow]:
 def _events_of(run: KeptRun, shift: int) -> Iterator[tuple[float, str]]:
     yield from run.events
     if run.shifts:
-        for name in INSTANTS:
+        for name in ("commanded_s", "first_motion_s", "arrived_s", "confirmed_s", "blow_end_s"):
             if (at_s := getattr(run.shifts[shift], name)) is not None:
                 yield at_s, name.removesuffix("_s").replace("_", " ")

@@ -247,7 +247,8 @@ def _apply(raw: dict[str, Any], path: str, value: Any, parameters: ParameterSet)
         return
     if path == "controller.filter" and isinstance(value, bool):
         path = "controller.filter.enabled"
-    if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
+    strategy_key = path.removeprefix("controller.strategy_parameters.")
+    if strategy_key != path and _set_strategy(raw, strategy_key, value):
         return
     if not set_value(raw, Scenario, path, value):
         paths = [*leaf_paths(Scenario, raw), *parameters]
@@ -255,9 +256,6 @@ def _apply(raw: dict[str, Any], path: str, value: Any, parameters: ParameterSet)
         raise InputError(
             f"--set {typed_toml.one_line(path)}: no such value; expected one of {', '.join(near)}, ..."
         )
-
-
-_STRATEGY = "controller.strategy_parameters."
 
 
 def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:

@@ -30,9 +30,10 @@ from sil.files.atomic import write_atomically
 from sil.files.extras import ROOT
 from sil.recording.run_record import PlantEvent
 from sil.simulation import build
+from sil.simulation.inputs import PACKAGES
 from sil.simulation.load_scenario import Loaded, from_table
 from sil.simulation.scenario import expanded
-from sil.simulation.state import PACKAGES, State, Values
+from sil.simulation.state import State, Values
 
 FORMAT = "opc4-state-2"
 

@@ -13,15 +13,14 @@ from typing import Any
 from sil.files.overrides import toml_value
 from sil.simulation.scenario import Scenario, expanded
 
-_DEFAULTS = expanded(Scenario(name="-", duration_s=1.0, request=[]))
-
 
 def scenario_toml(scenario: Scenario) -> str:
     """Return the text of a file that loads as this scenario, without its expectations.
 
     A model file and a user's own firmware are named as the scenario names them.
     """
-    table = _different(expanded(scenario), _DEFAULTS)
+    defaults = expanded(Scenario(name="-", duration_s=1.0, request=[]))
+    table = _different(expanded(scenario), defaults)
     table.pop("expect", None)
     for key in ("name", "duration_s", "request"):
         table[key] = expanded(scenario)[key]

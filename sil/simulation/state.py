@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-PACKAGES = ("can_dbc", "controller", "plant", "sil")
+from sil.simulation.inputs import PACKAGES
+
 _VALUES = (
     *(str, bytes, int, float, frozenset, range, type, type(None), Enum, PurePath),
     *(np.generic, MappingProxyType, ModuleType),

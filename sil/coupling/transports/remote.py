@@ -256,7 +256,9 @@ class RemoteChannel(Channel, Server):
         else:
             peer.nonce = nonce
             return peer, wire.control(Kind.WELCOME, peer.number, wire.VERSION, nonce)
-        name = wire.NAMES.get(control.participant, f"participant number {control.participant}")
+        number = control.participant
+        names = (name for name, its_number in wire.PARTICIPANTS.items() if its_number == number)
+        name = next(names, f"participant number {number}")
         self.warn(f"a {name} was refused: {wire.reason(refusal)}")
         return None, wire.control(Kind.REFUSED, control.participant, refusal, nonce)
 

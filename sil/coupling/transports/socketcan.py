@@ -28,12 +28,11 @@ _FULL_QUEUE_WAIT_S = 2.0
 UNREAD_WINDOW = 256
 """Records that may wait unread for a participant; a default receive buffer holds about 400."""
 
-ANY_FRAME = ((SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED | _REMOTE_FRAME),)
 PARTICIPANT_VIEW = (
     (SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED | _REMOTE_FRAME | EDP_BIT),
     (SOCKETCAN_EXTENDED | PAGE_BITS, SOCKETCAN_EXTENDED | _REMOTE_FRAME | PAGE_BITS),
 )
-"""Kernel filters: every 29-bit data frame; and those without other participants' offers."""
+"""Kernel filters: 29-bit data frames without other participants' offers."""
 
 
 class CanSocket:
@@ -137,7 +136,7 @@ class SocketCan(RemoteChannel):
     """
 
     def _open(self, channel: str) -> None:
-        self._can = CanSocket(channel, ANY_FRAME)
+        self._can = CanSocket(channel, ((SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED | _REMOTE_FRAME),))
         self._closing.callback(self._can.close)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:

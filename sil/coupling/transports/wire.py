@@ -67,7 +67,6 @@ GUEST = "guest"
 PARTICIPANTS = {p.name.lower(): int(p) for p in ParticipantId if p != ParticipantId.COORDINATOR}
 PARTICIPANTS[GUEST] = 4
 """Participant name to its number on the wire."""
-NAMES = {number: name for name, number in PARTICIPANTS.items()}
 RECORD_BYTES = SOCKETCAN_FRAME.size
 LONGEST_BATCH = 2048
 """Records in one datagram of the local socket at most."""
@@ -105,15 +104,6 @@ class Refusal(IntEnum):
     NO_PARTICIPANT = 5
 
 
-_REASONS: dict[int, str] = {
-    Refusal.VERSION: "the coordinator speaks another version of the lockstep protocol",
-    Refusal.UNEXPECTED: "the run waits for no participant of this name",
-    Refusal.DUPLICATE: "a participant of this name has joined already",
-    Refusal.SCENARIO: "the coordinator runs another scenario",
-    Refusal.NO_PARTICIPANT: "a lockstep run takes frames from its participants only",
-}
-
-
 class Control(NamedTuple):
     """A parsed control frame; the module docstring gives the meaning per kind."""
 
@@ -129,7 +119,14 @@ class WireError(ValueError):
 
 def reason(refusal: int) -> str:
     """Return in words why something was refused."""
-    return _REASONS.get(refusal, f"code {refusal}")
+    reasons: dict[int, str] = {
+        Refusal.VERSION: "the coordinator speaks another version of the lockstep protocol",
+        Refusal.UNEXPECTED: "the run waits for no participant of this name",
+        Refusal.DUPLICATE: "a participant of this name has joined already",
+        Refusal.SCENARIO: "the coordinator runs another scenario",
+        Refusal.NO_PARTICIPANT: "a lockstep run takes frames from its participants only",
+    }
+    return reasons.get(refusal, f"code {refusal}")
 
 
 def control(
