@@ -36,10 +36,10 @@ Text = Annotated[str, Meta(min_length=1)]
 Rate = Annotated[float, Meta(gt=0.0, le=1e8)]
 
 
-LARGEST = 1e30
+LARGEST_VALUE = 1e30
 """Least size of a value that no channel has."""
 
-OWN = re.compile(
+OWN_COLUMN = re.compile(
     r"(time_s|position_m|position_internal_m|angle_rad|force_n|torque_n_m|pressure_pa|cmd_[12BNF]|"
     r"pressure_(1|2|B|N|F|oil2)_pa)"
 )
@@ -259,7 +259,7 @@ def misspelt_columns(
         names += ["pressure_oil2_pa"] if entry.conditions.load == "damper" else []
         missing = [n for n in ("position_m", *names, "position_internal_m") if n not in columns]
         for name in columns:
-            if OWN.fullmatch(name):
+            if OWN_COLUMN.fullmatch(name):
                 continue
             word = name.lower()
             near = [m for m in missing if m.startswith(word)] or nearest(word, missing, 1)
@@ -358,7 +358,7 @@ def read_record(path: Path, recorder: Recorder | None = None) -> Record:
     if left_out := _without_infinite(path, channels, used):
         notes.append(f"columns with values that are not finite left out: {', '.join(left_out)}")
     for name in channels:
-        if OWN.fullmatch(name) and name.startswith("pressure_"):
+        if OWN_COLUMN.fullmatch(name) and name.startswith("pressure_"):
             channels[name] = channels[name] + recorder.gauge_pa
     steps = np.diff(channels["time_s"])
     fresh = np.append(True, steps > 0.0)
@@ -409,7 +409,7 @@ def _map_columns(
         channels[ours] = sources[ours] = values * source.scale + source.offset
         used |= {ours, source.column}
     for name in sorted(units.keys() & channels.keys() - set(columns)):
-        if OWN.fullmatch(name) and SCALES.get(units[name], (name, 1.0))[1] != 1.0:
+        if OWN_COLUMN.fullmatch(name) and SCALES.get(units[name], (name, 1.0))[1] != 1.0:
             raise InputError(
                 f"{path}: {name}: stored in {units[name]}; expected SI, or its scale in [columns]"
             )
@@ -427,10 +427,10 @@ def _without_infinite(path: Path, channels: dict[str, Floats], used: set[str]) -
     """
     left_out = []
     for name in list(channels):
-        finite = np.abs(channels[name]) < LARGEST
+        finite = np.abs(channels[name]) < LARGEST_VALUE
         if np.all(finite):
             continue
-        if name in used or OWN.fullmatch(name):
+        if name in used or OWN_COLUMN.fullmatch(name):
             row = int(np.argmin(finite))
             raise InputError(
                 f"{path}: {name}: sample {row + 1}: {channels[name][row]:g}; "

@@ -33,7 +33,7 @@ def _style(decimal: str, group: str) -> re.Pattern[str]:
     return re.compile(rf"[+-]?({grouped}|{plain})|[nN]a[nN]|[+-]?[iI]nf")
 
 
-STYLES: dict[Decimal, re.Pattern[str]] = {".": _style(r"\.", ","), ",": _style(",", r"\.")}
+NUMBER_STYLES: dict[Decimal, re.Pattern[str]] = {".": _style(r"\.", ","), ",": _style(",", r"\.")}
 """Numbers with this decimal sign, the other one between thousands."""
 
 
@@ -104,7 +104,7 @@ def _decoded(raw: bytes) -> tuple[str, str]:
 
 
 def _numeric(cell: str) -> bool:
-    return any(style.fullmatch(cell) for style in STYLES.values())
+    return any(style.fullmatch(cell) for style in NUMBER_STYLES.values())
 
 
 def _split(line: str, sign: str) -> list[str]:
@@ -220,7 +220,7 @@ def _decimal_of(
     Raises InputError for a number with another sign than the others, `Undecided` if all may be either.
     """
     cells = {cell for row in rows for cell in row if "." in cell or "," in cell}
-    dots, commas = (set(filter(STYLES[sign].fullmatch, cells)) for sign in (".", ","))
+    dots, commas = (set(filter(NUMBER_STYLES[sign].fullmatch, cells)) for sign in (".", ","))
     proofs: dict[Decimal, set[str]] = {".": dots - commas, ",": commas - dots}
 
     def first(of: set[str]) -> tuple[int, str]:
@@ -259,7 +259,7 @@ def _columns(
     """
     columns: dict[str, Floats] = {}
     left_out, notes = [], []
-    style, group = STYLES[decimal], "," if decimal == "." else "."
+    style, group = NUMBER_STYLES[decimal], "," if decimal == "." else "."
     for name, cells in zip(layout.names, zip(*rows, strict=True), strict=True):
         filled = [k for k, cell in enumerate(cells) if cell]
         others = {cell for cell in set(cells) if not style.fullmatch(cell)}

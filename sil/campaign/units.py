@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-UNITS = {
+COLUMN_UNITS = {
     "time_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "sec": 1.0},
     "position_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "µm": 1e-6, "um": 1e-6, "in": 0.0254},
     "force_n": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216, "kgf": 9.80665},
@@ -15,18 +15,20 @@ UNITS = {
     "angle_rad": {"rad": 1.0, "deg": np.pi / 180.0, "°": np.pi / 180.0},
     "torque_n_m": {"Nm": 1.0, "N m": 1.0, "N·m": 1.0, "mNm": 1e-3},
 }
-SCALES = {unit: (ours, scale) for ours, table in UNITS.items() for unit, scale in table.items()}
+SCALES = {
+    unit: (ours, scale) for ours, table in COLUMN_UNITS.items() for unit, scale in table.items()
+}
 """Our column and the factor to its unit, by unit."""
 
-LEVELS = {
+PRESSURE_LEVELS = {
     f"{unit}{gap}{mark}": (level, unit)
     for level, marks in {"gauge": ("g", "ü", "rel"), "absolute": ("a", "abs")}.items()
     for mark in marks
-    for unit in UNITS["pressure_pa"]
+    for unit in COLUMN_UNITS["pressure_pa"]
     for gap in ("", " ")
 }
 """What a pressure counts from, and its unit, by units that say both: barg, bar ü, psia, kPa abs."""
-SCALES |= {text: SCALES[unit] for text, (_, unit) in LEVELS.items()}
+SCALES |= {text: SCALES[unit] for text, (_, unit) in PRESSURE_LEVELS.items()}
 
 RAW = re.compile(r"m?[VA]|%|counts?|digits?|inc|LSB|-|1")
 """Units of channels that only a calibration makes one of our columns."""

@@ -23,17 +23,13 @@ if TYPE_CHECKING:
     from sil.coupling.response_times import PeriodicMessage
 
 
-OWN = ""
-"""What `--dbc` is without a FILE."""
-
-
 ARGUMENTS = (
     argument(
         "--dbc",
         "another database [the project's]; without FILE: print the project's database",
         "FILE",
         nargs="?",
-        const=OWN,
+        const="",
     ),
     argument("--scenario", "take periods and bit rate from it", "SCENARIO"),
     argument(
@@ -52,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.coupling import response_times
     from sil.coupling.clock import to_seconds
 
-    if arguments.dbc == OWN:
+    if arguments.dbc == "":  # without FILE
         text = Path(DBC_PATH).read_text(encoding="ascii")
         print(json.dumps({"dbc": text}) if arguments.json else text.removesuffix("\n"))
         return 0

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-UNITS = {
+SUFFIX_UNITS = {
     "_rad_s2": "rad/s²",
     "_rad_s": "rad/s",
     "_kg_m2": "kg m²",
@@ -51,7 +51,7 @@ _SCALED = {
 
 def unit_of(name: str) -> str:
     """Return the unit that a name ends in, e.g. "m/s" of impact_speed_m_s; empty without one."""
-    return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
+    return next((unit for ending, unit in SUFFIX_UNITS.items() if name.endswith(ending)), "")
 
 
 def quantity(value: Any, unit: str = "", digits: int = 4) -> str:

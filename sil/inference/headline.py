@@ -15,7 +15,7 @@ from sil.inference.thresholds import UNNAMED
 if TYPE_CHECKING:
     from sil.inference.report import Interval, ReportedCause
 
-FIRST = ("leak", "valve timing", "friction")
+FIRST_CLASSES = ("leak", "valve timing", "friction")
 """Classes of what would have been seen, those named first."""
 
 _UNITS = {"s/Pa": (1e8, "ms/bar"), "m^2": (1e6, "mm²"), "m^3": (1e6, "cm³"), "": (100.0, "%")}
@@ -64,7 +64,8 @@ def seen_sentence(sizes: Iterable[tuple[str, float, float, str]]) -> str:
     nouns = {
         item.id: item.noun
         for item in sorted(
-            CATALOGUE.values(), key=lambda item: (*FIRST, item.cause_class).index(item.cause_class)
+            CATALOGUE.values(),
+            key=lambda item: (*FIRST_CLASSES, item.cause_class).index(item.cause_class),
         )
         if item.noun
     } | {"stiffness": "a spring"}  # no effect of the catalogue

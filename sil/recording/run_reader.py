@@ -22,7 +22,7 @@ from sil.recording.run_record import STORED_FRAME, PlantEvent, RunRecord, Stored
 PIECE_S = 60.0
 """A run up to this long is one piece."""
 
-MOST_ROWS = 1_000_000
+PIECE_ROWS = 1_000_000
 """A piece has at most about this many rows of the trace."""
 
 _FRAMES_AT_ONCE = 1 << 18
@@ -104,7 +104,7 @@ class RunReader:
         self._senders = senders
         self._trace = open_trace(folder / PLANT_TRACE)
         self._frames = RowReader(folder / BUS_FRAMES, STORED_FRAME, "arrival")
-        self.piece_s = min(PIECE_S, MOST_ROWS * trace_period_s)
+        self.piece_s = min(PIECE_S, PIECE_ROWS * trace_period_s)
         self.rows = self._trace.rows
         self.end_s = float(self._trace.read(self.rows - 1, self.rows)[0][0]) if self.rows else 0.0
         self.pieces = int(self.end_s // self.piece_s) + 1 if self.end_s > self.piece_s else 1

@@ -11,7 +11,7 @@ import numpy as np
 from can_dbc.messages import ControllerStatus
 from sil.recording.run_record import Floats, RunRecord
 
-FIRST = (
+FIRST_COLUMNS = (
     "time_s",
     "position_m",
     "pressure_B_pa",
@@ -31,7 +31,7 @@ FROM_STATUS = {
 }
 """Columns from the controller's frames, each value held until the next frame."""
 
-ROWS = 20_000
+ROWS_AT_ONCE = 20_000
 """Rows formatted at a time."""
 
 INTEGERS = frozenset(("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults"))
@@ -60,8 +60,8 @@ def trace_columns(
         times, values = record.series(ControllerStatus, field)
         last = before.get(name, math.nan)
         columns[name] = held(times, np.array(values, dtype=np.float64), at, last)
-    rest = [name for name in columns if name not in FIRST]
-    return {name: columns[name] for name in (*FIRST, *rest)}
+    rest = [name for name in columns if name not in FIRST_COLUMNS]
+    return {name: columns[name] for name in (*FIRST_COLUMNS, *rest)}
 
 
 class TraceCsv:
@@ -85,11 +85,16 @@ class TraceCsv:
         at = record.truth["time_s"]
         if self._file.tell() == 0:
             self._file.write((",".join(columns) + "\n").encode())
-        for begin in range(0, len(at), ROWS):
+        for begin in range(0, len(at), ROWS_AT_ONCE):
             texts = [
-                ["" if v != v else str(int(v)) for v in column[begin : begin + ROWS].tolist()]
+                [
+                    "" if v != v else str(int(v))
+                    for v in column[begin : begin + ROWS_AT_ONCE].tolist()
+                ]
                 if name in INTEGERS
-                else ["" if v != v else repr(v) for v in column[begin : begin + ROWS].tolist()]
+                else [
+                    "" if v != v else repr(v) for v in column[begin : begin + ROWS_AT_ONCE].tolist()
+                ]
                 for name, column in columns.items()
             ]
             lines = "".join(",".join(row) + "\n" for row in zip(*texts, strict=True))

@@ -28,7 +28,7 @@ MOST_ZOOMS = 3
 """A picture shows this many parts of an axis side by side; a page has a button for each."""
 
 DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}
-STYLES: dict[str, dict[str, Any]] = {
+SERIES_STYLES: dict[str, dict[str, Any]] = {
     "line": {},
     "stepped": {"drawstyle": "steps-post"},
     "sampled": {"drawstyle": "steps-post", "marker": "."},
@@ -237,7 +237,7 @@ def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowe
 
 def _series(axes: Axes, panel: Panel) -> None:
     for order, s in enumerate(panel.series):
-        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | STYLES[s.style]
+        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | SERIES_STYLES[s.style]
         axes.plot(
             s.x, s.y, color=colour_of(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
             label=s.label or "_", zorder=3 + 0.01 * order, **style,

@@ -31,7 +31,7 @@ from sil.simulation.metrics import Shift
 
 SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
 STATES = "Firmware state"
-SENDERS = {"driver": "B", "controller": "estimate", "plant": "truth"}
+SENDER_ROLES = {"driver": "B", "controller": "estimate", "plant": "truth"}
 """Colour of each sender's frames."""
 
 Interval = tuple[float, float]
@@ -423,7 +423,7 @@ def bus_panel(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     lanes = sorted(record.messages.items(), key=lambda lane: -lane[1][0][0].frame.can_id)
     spans = []
     for lane, (_, entries) in enumerate(lanes):
-        role = SENDERS.get(entries[0][0].sender, "B")
+        role = SENDER_ROLES.get(entries[0][0].sender, "B")
         for entry, _ in entries:
             start, end = entry.released_ns / NS_PER_S * MS, entry.arrival_ns / NS_PER_S * MS
             if any(zoom.low <= end and start <= zoom.high for zoom in zooms):
@@ -432,7 +432,7 @@ def bus_panel(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
         "Frames on the bus, from release to arrival",
         spans=spans,
         ticks=[(float(lane), kind.__name__) for lane, (kind, _) in enumerate(lanes)],
-        keys=list(SENDERS.items()),
+        keys=list(SENDER_ROLES.items()),
         height=160,
         limits=(-0.7, len(lanes) - 0.3),
     )

@@ -12,7 +12,7 @@ from sil.studies.figures import metric_of, row_labels
 from sil.studies.study import Study, StudyFile, Table
 from sil.studies.table import baseline_rows, differences, read_metrics
 
-MOST_ROWS = 40
+MOST_LISTED_ROWS = 40
 """A study of more rows shows groups, by their medians."""
 
 
@@ -39,7 +39,7 @@ def shown_rows(study: Study, table: Table) -> tuple[list[str], list[list[str]]]:
     """
     metrics = [name for name in read_metrics(study)[:6] if np.isfinite(table.numbers[name]).any()]
     baseline = baseline_rows(study, table)
-    if table.size <= MOST_ROWS:
+    if table.size <= MOST_LISTED_ROWS:
         groups = {label: np.array([k]) for k, label in enumerate(row_labels(study, table))}
     else:
         groups = study.row_groups(table)

@@ -16,7 +16,7 @@ from sil.studies.figures import numbered, title_of
 from sil.studies.study import Study, Table
 from sil.studies.table import markdown
 
-HEAD = (
+FAULT_TABLE_HEAD = (
     "fault",
     "shift",
     "detected after",
@@ -44,7 +44,13 @@ LEGEND = (
 def fault_table(study: Study, table: Table) -> str:
     """Return the table as Markdown, one line for each row, after the counts of safe states."""
     head = (f"# {study.file.name}", "", study.file.description, "", *safe_states(study, table))
-    lines = [*head, "", *markdown(HEAD, rows(study, table)), "", *(f"- {line}" for line in LEGEND)]
+    lines = [
+        *head,
+        "",
+        *markdown(FAULT_TABLE_HEAD, rows(study, table)),
+        "",
+        *(f"- {line}" for line in LEGEND),
+    ]
     return "\n".join(lines) + "\n"
 
 

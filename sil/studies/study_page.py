@@ -49,7 +49,7 @@ def write_page(
             Picture(save(figure, folder, name), name, f"{name}.png, {name}.svg")
             for name, figure in figures.items()
         ],
-        faults=[fault_table.HEAD, *fault_table.rows(study, table)] if safety else [],
+        faults=[fault_table.FAULT_TABLE_HEAD, *fault_table.rows(study, table)] if safety else [],
         faults_are=fault_table.LEGEND,
         reasons=summary["reasons"][:20],
         figures_are="Difference: to the row in the baseline's place, under the same load. Of many rows: "

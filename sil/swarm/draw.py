@@ -15,7 +15,7 @@ GEARS = ("neutral", "backward", "forward")
 SUPPLIES_PA = ((1.2e5, 3e5), (4e5, 1e6), (4e5, 1e6))
 """Too low for most shifts, and usual."""
 
-SETTINGS: dict[str, tuple[Any, ...]] = {
+DRAWN_SETTINGS: dict[str, tuple[Any, ...]] = {
     "period_s": (0.0025, 0.005),
     "filter": (False,),
     "windows.samples": (1, 4),
@@ -65,7 +65,7 @@ def new_table(rng: random.Random, base: Mapping[str, Any]) -> Table:
     if rng.random() < 0.6:  # a push that fails soon leaves time for what follows
         _set(table, "shift.push_timeout_s", rng)
     for _ in range(rng.choice([0, 1, 3, 6])):
-        _set(table, rng.choice(list(SETTINGS)), rng)
+        _set(table, rng.choice(list(DRAWN_SETTINGS)), rng)
     return table
 
 
@@ -96,7 +96,7 @@ def _set(table: Table, path: str, rng: random.Random) -> None:
     part, _, name = path.rpartition(".")
     controller = table.setdefault("controller", {})
     within = controller.setdefault(part, {}) if part else controller
-    within[name] = rng.choice(SETTINGS[path])
+    within[name] = rng.choice(DRAWN_SETTINGS[path])
 
 
 def _start_clock(table: Table, rng: random.Random) -> None:

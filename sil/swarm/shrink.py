@@ -13,7 +13,7 @@ from typing import Any
 from sil.simulation.scenario import FAULT_TABLES
 from sil.swarm.draw import Table
 
-ROWS = (*FAULT_TABLES, "request")
+ROW_LISTS = (*FAULT_TABLES, "request")
 
 
 def shrink(
@@ -48,7 +48,7 @@ def _simpler(
         last_s = max((request["at_s"] for request in table["request"]), default=0.0)
         if max(at_s, last_s) < end_s < table["duration_s"]:
             yield {**table, "duration_s": end_s}
-    for name in ROWS:
+    for name in ROW_LISTS:
         for index in range(len(table.get(name, ()))):
             yield _with(table, name, [*table[name][:index], *table[name][index + 1 :]])
     for name in ("controller", "driveline", "plant", "clock", "bus"):
@@ -61,7 +61,7 @@ def _simpler(
                     rest = {k: v for k, v in part.items() if k != inner}
                     yield _with(table, name, {**table[name], key: rest})
     yield {**table, "seed": 1}
-    for name in ROWS:
+    for name in ROW_LISTS:
         for index, row in enumerate(table.get(name, ())):
             for simpler in _simpler_rows(row):
                 yield _with(table, name, [*table[name][:index], simpler, *table[name][index + 1 :]])

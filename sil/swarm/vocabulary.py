@@ -101,8 +101,6 @@ PARAMETERS: dict[str, Draw] = {
 }
 """How the parameters of faults are drawn; a parameter that is not in here cannot be left out."""
 
-NEEDED = ("delay_s", "period_s", "can_id")
-
 
 def window(rng: random.Random, requests_s: Sequence[float]) -> dict[str, float]:
     """When a fault acts: from the start, or from some moment around a shift; for good or not."""
@@ -127,12 +125,13 @@ def state(table: dict[str, Any], fault: FaultKind, rng: random.Random) -> None:
         **window(rng, [request["at_s"] for request in table["request"]]),
     }
     names = [f.name for f in msgspec.structs.fields(fault.type)]
+    needed = ("delay_s", "period_s", "can_id")
     placed = ("kind", "message", "node", "valve", "start_s", "end_s")
     for place in ("message", "node", "valve"):
         if place in names:
             stated[place] = fault.whom
     for name in names:
-        if name not in placed and (name in NEEDED or rng.random() < 0.5):
+        if name not in placed and (name in needed or rng.random() < 0.5):
             stated[name] = PARAMETERS[name](rng)
     if fault.kind == "replayed" and rng.random() < 0.5:  # when the counter has come round
         period_s = 0.02 if fault.whom == "ShiftRequest" else 0.01

@@ -11,8 +11,7 @@ from pathlib import Path
 from plant.parameters import Parameter, load
 from sil.files.atomic import write_atomically
 from sil.inference.calibrate.calibration import Calibration, StrokeCalibration, residuals
-from sil.inference.campaign.figures import UNITS as CHANNEL_UNITS
-from sil.inference.campaign.figures import title_of
+from sil.inference.campaign.figures import CHANNEL_UNITS, title_of
 from sil.inference.model_file import model_file
 from sil.report.figure import MS, Figure, Panel, Series, Span, Stack
 from sil.report.plots import plots

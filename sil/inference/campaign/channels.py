@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.campaign.campaign import OWN, Floats
-from sil.campaign.units import LEVELS, OTHER, RAW, SCALES, UNITS, unit_of
+from sil.campaign.campaign import OWN_COLUMN, Floats
+from sil.campaign.units import COLUMN_UNITS, OTHER, PRESSURE_LEVELS, RAW, SCALES, unit_of
 
-NAMES = {
+NAME_PATTERNS = {
     "time_s": r"t|time|zeit|timestamp|.*_t(ime)?",
     "position_m": r"x|y|qm?|pos(ition)?|weg|hub|stroke|displacement|travel|s",
     "angle_rad": r"angle|theta|phi|winkel",
@@ -88,17 +88,19 @@ def _recognised(name: str, values: Floats, stored: str, chambers: str) -> Record
     unit = stored or unit_of(name)
     if name.endswith(f"_{unit}") and unit in chambers:  # coil_N is of valve N, force_N in newtons
         stem = bare.removesuffix(f"_{unit.lower()}")
-        unit = unit if re.fullmatch(NAMES["force_n"], stem) else ""
-    if OWN.fullmatch(name):
+        unit = unit if re.fullmatch(NAME_PATTERNS["force_n"], stem) else ""
+    if OWN_COLUMN.fullmatch(name):
         scale = SCALES[unit][1] if unit in SCALES else 1.0
         return RecordedColumn(name, unit or "SI", name, scale)
     ours = SCALES[unit][0] if unit in SCALES else ""
     if not ours:
         word = bare.removesuffix(f"_{unit}")
-        ours = next((o for o, form in NAMES.items() if re.fullmatch(form, word)), "")
+        ours = next((o for o, form in NAME_PATTERNS.items() if re.fullmatch(form, word)), "")
         if not ours and (chamber := chamber_of(word, chambers or "0")):
             stem = word[: -len(chamber)]
-            ours = next((o for o in ("pressure_pa", "cmd") if re.match(NAMES[o], stem + "_")), "")
+            ours = next(
+                (o for o in ("pressure_pa", "cmd") if re.match(NAME_PATTERNS[o], stem + "_")), ""
+            )
     if ours == "cmd":
         return _command(name, unit, values, chamber_of(bare, chambers) if chambers else "")
     if OTHER.fullmatch(unit) or (ours == "time_s" and RAW.fullmatch(unit)):
@@ -129,7 +131,11 @@ def _command(name: str, unit: str, values: Floats, chamber: str) -> RecordedColu
 
 def _without_scale(name: str, unit: str, ours: str, values: Floats) -> RecordedColumn:
     si = next(
-        iter(UNITS["pressure_pa" if ours.startswith("pressure") else ours.replace("_internal", "")])
+        iter(
+            COLUMN_UNITS[
+                "pressure_pa" if ours.startswith("pressure") else ours.replace("_internal", "")
+            ]
+        )
     )
     if unit:
         return RecordedColumn(
@@ -155,7 +161,9 @@ def pressures(channels: list[RecordedColumn], tables: Sequence[Mapping[str, Floa
 
     tables: columns [n] of each file, in the files' units.
     """
-    stated = {LEVELS.get(c.unit, ("", ""))[0] for c in channels if c.ours.startswith("pressure_")}
+    stated = {
+        PRESSURE_LEVELS.get(c.unit, ("", ""))[0] for c in channels if c.ours.startswith("pressure_")
+    }
     if stated - {""}:
         return stated.pop() if len(stated) == 1 else "?"
     lowest = [

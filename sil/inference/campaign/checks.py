@@ -16,7 +16,7 @@ from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
-from sil.campaign.units import UNITS
+from sil.campaign.units import COLUMN_UNITS
 from sil.files.quantity import counted, quantity, unit_of
 from sil.inference.campaign.model import CampaignModel, channel_parts
 from sil.inference.campaign.noise import estimated_noise
@@ -212,12 +212,12 @@ def _check_pressure(
 
 
 def _unit_hint(ratio: float, column: str) -> str:
-    """Return which unit a value off by this factor was probably written in; column: a key of UNITS."""
+    """Return which unit a value off by this factor was probably written in; column: a key of COLUMN_UNITS."""
     if ratio <= 0.0:
         return ""
-    apart = {unit: abs(np.log(ratio * scale)) for unit, scale in UNITS[column].items()}
+    apart = {unit: abs(np.log(ratio * scale)) for unit, scale in COLUMN_UNITS[column].items()}
     unit = min(apart, key=lambda name: apart[name])
-    return f" (in {unit}?)" if apart[unit] < 1.1 and UNITS[column][unit] != 1.0 else ""
+    return f" (in {unit}?)" if apart[unit] < 1.1 and COLUMN_UNITS[column][unit] != 1.0 else ""
 
 
 # --- measured against predicted ---------------------------------------------------------------

@@ -21,9 +21,7 @@ from sil.campaign.campaign import CampaignStroke, Floats, Record, stroke_columns
 from sil.campaign.simulate import TAIL_S
 from sil.inference.campaign.observations import StrokeObservation, observe
 
-LATER_S = 3.0
-"""So long a stroke is recorded before it begins instead: a clock that drifts has drifted by then."""
-CHAMBERS = {
+CHAMBER_PAIRS = {
     "fixed": ("1", "2"),
     "N-B": ("B", "N"),
     "N-F": ("F", "N"),
@@ -39,7 +37,7 @@ def designs(
     """Return strokes that the rig can do, each once: what was measured, varied.
 
     Kinds, loads and springs as measured; supply pressures from the lowest to the highest one that
-    was; the driving valve as commanded, LATER_S later, or open for 20 or 50 ms, less and more than it takes to close; the opposite chamber
+    was; the driving valve as commanded, 3 s later, or open for 20 or 50 ms, less and more than it takes to close; the opposite chamber
     charged and vented as the stroke begins, or not. folder: of their files; every_rest: with the shortest and the
     longest rest, otherwise with the first one.
     """
@@ -101,7 +99,7 @@ def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
 
     Only where that chamber holds the piston where the stroke begins.
     """
-    driving, opposite = CHAMBERS[base.kind]
+    driving, opposite = CHAMBER_PAIRS[base.kind]
     begins = [when for when, valve, duty in base.commands if valve == driving and duty > 0.0]
     at_rest = base.start_offset_m == 0.0 and not base.charged_before
     if begins and at_rest and all(valve != opposite for _, valve, _ in base.commands):
@@ -111,7 +109,7 @@ def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
 
 def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
     """Yield the commands with the driving valve open for 20 or 50 ms instead."""
-    driving = CHAMBERS[base.kind][0]
+    driving = CHAMBER_PAIRS[base.kind][0]
     driving_commands = [(when, duty) for when, valve, duty in base.commands if valve == driving]
     if not driving_commands or driving_commands[0][1] <= 0.0:
         return
@@ -122,10 +120,15 @@ def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], 
         yield tuple(sorted([*others, *pulse]))
 
 
-def _later(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
-    """Yield the commands LATER_S later in the record, if they are at its beginning."""
-    if all(when < LATER_S for when, _valve, _duty in base.commands):
-        yield tuple((when + LATER_S, valve, duty) for when, valve, duty in base.commands)
+def _later(
+    base: StrokeConditions, by_s: float = 3.0
+) -> Iterator[tuple[tuple[float, str, float], ...]]:
+    """Yield the commands so much later in the record, if they are at its beginning.
+
+    A clock that drifts has drifted by then.
+    """
+    if all(when < by_s for when, _valve, _duty in base.commands):
+        yield tuple((when + by_s, valve, duty) for when, valve, duty in base.commands)
 
 
 def imagined(

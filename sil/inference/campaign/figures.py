@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from sil.inference.campaign.observations import ObservedChannel, StrokeObservation
     from sil.inference.report import Interval
 BEFORE, AFTER = "healthy model", "extended model"
-UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
+CHANNEL_UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
 
 
 def worst(result: Diagnosis) -> list[int]:
@@ -73,7 +73,7 @@ def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
         models.append((AFTER, result.final, "after", True))
     parts = [list(channel_parts(stroke, fit.blocks[k].residual)) for _n, fit, _r, _d in models]
     for n, channel in enumerate(stroke.channels):
-        unit, scale = UNITS[channel.kind]
+        unit, scale = CHANNEL_UNITS[channel.kind]
         x = ms[channel.rows]
         lines = [Series("measured", x, scale * channel.measured, "measured", width=2.2)]
         residuals = []
@@ -112,7 +112,7 @@ def next_figure(experiment: NextExperiment) -> Figure:
     parts = [list(channel_parts(stroke, numbers)) for numbers in experiment.predicted.values()]
     panels = []
     for n, channel in enumerate(stroke.channels):
-        unit, scale = UNITS[channel.kind]
+        unit, scale = CHANNEL_UNITS[channel.kind]
         x = ms[channel.rows]
         roles = zip(names, ("before", "after"), (False, True), parts, strict=True)
         lines = [

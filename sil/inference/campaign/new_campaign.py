@@ -15,7 +15,7 @@ import numpy as np
 
 from can_dbc.errors import InputError
 from plant.parameters import load
-from sil.campaign.campaign import LARGEST, Floats
+from sil.campaign.campaign import LARGEST_VALUE, Floats
 from sil.campaign.tables import Undecided, read_columns
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
@@ -24,7 +24,7 @@ from sil.report.figure import Figure, Panel, Series, Stack
 from sil.report.picture import save
 
 Rig = Literal["actuator", "fixed", "cylinder", "force"]
-CHAMBERS: dict[Rig, str] = {"actuator": "BNF", "fixed": "12", "cylinder": "12", "force": ""}
+RIG_CHAMBERS: dict[Rig, str] = {"actuator": "BNF", "fixed": "12", "cylinder": "12", "force": ""}
 """What can be measured, and the chambers that have gauges and valves then."""
 
 ASKED = {
@@ -73,10 +73,10 @@ def draft(
         name
         for table, *_rest in tables
         for name, values in table.items()
-        if not np.all(np.abs(values) < LARGEST)
+        if not np.all(np.abs(values) < LARGEST_VALUE)
     }
     columns = {name: values for name, values in columns.items() if name not in infinite}
-    channels = recognise(columns, units, CHAMBERS[rig or "force"])
+    channels = recognise(columns, units, RIG_CHAMBERS[rig or "force"])
     if rig is None and not {c.ours for c in channels} & {"force_n", "torque_n_m"}:
         raise InputError(
             f"{files[0]}: no channel of force, so what was measured? expected --rig actuator (strokes of this "
@@ -151,7 +151,7 @@ def _questions(rig: Rig, channels: Sequence[RecordedColumn], level: str) -> Iter
         yield 'pressures = "gauge" or "absolute"? By their level they may count from the atmosphere'
     if not any(name.startswith("cmd_") for name in ours):
         yield 'commands of each stroke: when was which valve switched, e.g. [[0.01, "B", 0.98]]?'.replace(
-            "B", CHAMBERS[rig][0]
+            "B", RIG_CHAMBERS[rig][0]
         )
     yield from OF_STROKES
     if rig == "cylinder":

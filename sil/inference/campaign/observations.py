@@ -20,9 +20,9 @@ from plant.parameters import ParameterSet
 from plant.parts.damper import steady_oil_pressure
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import CampaignStroke, Floats, Record
+from sil.coupling.clock import NS_PER_S
 from sil.inference.campaign.internal import InternalSamples, internal_samples
 
-NS = 1_000_000_000
 ROOT_12 = 12**0.5
 FINE_S = 2e-4
 
@@ -120,7 +120,7 @@ def observe(
     time_s = record.time_s - record.time_s[0] - shift_s
     step_s = float(np.median(np.diff(time_s)))
     rows = _thinned(time_s, step_s, conditions, setup)
-    instants = np.rint(time_s[rows] * NS).astype(np.int64)
+    instants = np.rint(time_s[rows] * NS_PER_S).astype(np.int64)
     internal, grid = None, instants
     if "position_internal_m" in record:
         internal = internal_samples(time_s, record["position_internal_m"])
@@ -128,7 +128,7 @@ def observe(
         # the control unit samples between the instants of a slow recorder
         fine_s = np.arange(0.0, time_s[-1], FINE_S)
         thinned = _thinned(fine_s, FINE_S, conditions, setup)
-        grid = np.union1d(instants, np.rint(fine_s[thinned] * NS).astype(np.int64))
+        grid = np.union1d(instants, np.rint(fine_s[thinned] * NS_PER_S).astype(np.int64))
     at = np.searchsorted(grid, instants)
     fixed = conditions.system == FIXED
     channels: list[ObservedChannel] = []
@@ -168,7 +168,9 @@ def observe(
             add(column, first + k)
     if "pressure_oil2_pa" in record and conditions.load == "damper":
         add("pressure_oil2_pa", FixedState.p_oil if fixed else LengthState.p_oil)
-    return StrokeObservation(entry, setup, Predictor(grid), grid / NS, tuple(channels), internal)
+    return StrokeObservation(
+        entry, setup, Predictor(grid), grid / NS_PER_S, tuple(channels), internal
+    )
 
 
 def kind_of(column: str) -> str:

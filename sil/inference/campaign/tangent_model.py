@@ -19,7 +19,7 @@ from sil.inference.campaign.model import CampaignModel, Moved
 from sil.inference.campaign.observations import StrokeObservation
 from sil.inference.spread import Spread
 
-DELAYS = {"rise": "rise_ns", "fall": "fall_ns"}
+DELAY_ARGUMENTS = {"rise": "rise_ns", "fall": "fall_ns"}
 
 
 class TangentModel(CampaignModel):
@@ -37,10 +37,12 @@ class TangentModel(CampaignModel):
         setup = here[0]
         sizes, setups = [], []
         for name, step in steps.items():
-            h = 20e-9 if name in DELAYS else float(np.copysign(MOVE, step))
+            h = 20e-9 if name in DELAY_ARGUMENTS else float(np.copysign(MOVE, step))
             setups.append(moved(name, h))
-            if name in DELAYS:
-                before, after = (getattr(s.timing, DELAYS[name]) for s in (setup, setups[-1]))
+            if name in DELAY_ARGUMENTS:
+                before, after = (
+                    getattr(s.timing, DELAY_ARGUMENTS[name]) for s in (setup, setups[-1])
+                )
                 h = 1e-9 * (after - before)
             sizes.append(h)
         predictor = self.strokes[k].predictor

@@ -25,7 +25,7 @@ from sil.studies.bounds.policy import (
 )
 from sil.studies.policies import Floats, Ints
 
-STAGES = ((5, 6, 0.4), (8, 4, 0.35), (12, 1, 0.25))
+ATTEMPT_STAGES = ((5, 6, 0.4), (8, 4, 0.35), (12, 1, 0.25))
 """Knots, from load to load, and share of the evaluations of an attempt's stages."""
 BEGINNINGS = 60
 """Random stems, of which the softest begins an attempt."""
@@ -181,7 +181,7 @@ class BoundProblem:
 
         ends = [(0.0, start) for start in self.begin(rng, others, 4)]
         for (knots, step, share), size, sigma in zip(
-            STAGES, (24, 20, 16), (0.6, 0.3, 0.15), strict=True
+            ATTEMPT_STAGES, (24, 20, 16), (0.6, 0.3, 0.15), strict=True
         ):
             starts = [start for _, start in ends]
             generations, ends = max(1, int(share * evaluations / len(starts)) // size), []
@@ -207,7 +207,7 @@ class BoundProblem:
         """
         rng = np.random.default_rng(len(progress.history))
         best, spent = self.begin(rng)[0], BEGINNINGS
-        for knots, step, share in STAGES:
+        for knots, step, share in ATTEMPT_STAGES:
             begun = bool(best.knots_s)
             best, places = self.answering(best, knots)
             values = best.policy[0]

@@ -12,7 +12,7 @@ from can_dbc.errors import InputError
 from plant.trace import TRACE_COLUMNS
 from sil.logs import convert
 from sil.logs.traces import comment_of, is_trace_csv
-from sil.recording.trace_csv import FIRST, FROM_STATUS
+from sil.recording.trace_csv import FIRST_COLUMNS, FROM_STATUS
 from tests.unit.sil.logs.mf4_builder import Field, Mf4Builder, signal_file
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
@@ -38,7 +38,7 @@ def test_a_trace_becomes_mf4_with_units(tmp_path: Path) -> None:
 
 def test_every_signal_of_a_run_has_a_comment() -> None:
     assert comment_of("something_else_m") == ""
-    columns = {*FIRST, *TRACE_COLUMNS, *FROM_STATUS} - {"time_s"}
+    columns = {*FIRST_COLUMNS, *TRACE_COLUMNS, *FROM_STATUS} - {"time_s"}
     assert [name for name in sorted(columns) if not comment_of(name)] == []
 
 
