@@ -149,7 +149,7 @@ def campaign_keys() -> Iterator[str]:
     """Yield the lines of the page of the keys of campaign.toml, and of the columns of its files."""
     from docs.key_table import describe
     from sil.campaign.campaign import CampaignTable, ColumnMap
-    from sil.campaign.units import UNITS
+    from sil.campaign.units import COLUMN_UNITS
     from sil.inference.force.record import ForceRig
 
     yield "A campaign is a folder of measured files and a `campaign.toml`. `opc4 diagnose --new DIR --rig"
@@ -181,7 +181,7 @@ def campaign_keys() -> Iterator[str]:
         "",
     )
     yield from (
-        f"- `{name}`: {', '.join(f'`{unit}`' for unit in units)}" for name, units in UNITS.items()
+        f"- `{name}`: {', '.join(f'`{unit}`' for unit in units)}" for name, units in COLUMN_UNITS.items()
     )
 
 
