@@ -40,6 +40,8 @@ CHANNELS: dict[type, tuple[Fault, str]] = {
 """What the firmware receives: the fault that tells the loss, and the setting of its timeout."""
 
 STATUS_ID = can_id_of(ControllerStatus)
+JUMP_M = 0.0005
+"""From sample to sample; after a larger step the low-pass filter may overshoot a window's edge."""
 UNSEEN = Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK
 
 
@@ -209,11 +211,15 @@ def unconfirmed_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     settled_s = 0.2 + (3.0 / control.filter.fc_hz if control.filter.enabled else 0.0)
     wanted = control.windows.samples + math.ceil(settled_s / control.sensor.period_s)
     before = 0  # samples until the firmware came to rest
+    steady, position_m = 0, math.nan
     for step, run, window in _windows(record, circumstances):
         status = step.status
         rests = status.state is ShiftState.IDLE and not status.faults & UNSEEN
         before = min(before, run) if rests else run
-        in_row = run - before
+        for pulse in step.arrived:
+            last_m, position_m = position_m, _measured_m(pulse, control.sensor)
+            steady = steady + 1 if abs(position_m - last_m) < JUMP_M else 0
+        in_row = min(run - before, steady)
         if in_row >= wanted and window is not Gear.UNKNOWN and status.confirmed == Gear.UNKNOWN:
             what = f"{window.name.lower()} is not confirmed after {in_row} samples in a row"
             return step.at_s, what

@@ -153,3 +153,22 @@ def test_an_estimate_whose_past_a_forger_hides_is_judged_by_all_its_past() -> No
     overshoots_m = [status.estimate_m for _, status in sent(record, ControllerStatus)]
     assert max(overshoots_m) > 0.0016  # of its low-pass filter, after the step from the gear
     assert violations(record, circumstances(loaded.scenario), RULES) == []
+
+
+def test_a_jump_within_a_window_may_overshoot_its_edge() -> None:
+    table = {
+        "name": "jump",
+        "duration_s": 0.9,
+        "initial_gear": "neutral",
+        "controller": {"shift": {"wait_for_sync": True}, "blow": {"duration_s": 0.0}},
+        "request": [
+            {"at_s": 0.0, "gear": "forward"},
+            {"at_s": 0.2, "gear": "backward"},
+            {"at_s": 0.4, "gear": "neutral"},
+        ],
+        "sensor_fault": [{"kind": "wrong", "start_s": 0.8}],
+    }
+    loaded = from_table(table, "test")
+    record = run_in_memory(loaded).record
+    assert Gear.UNKNOWN in [m.confirmed for t, m in sent(record, ControllerStatus) if t > 0.8]
+    assert violations(record, circumstances(loaded.scenario), RULES) == []
