@@ -32,13 +32,13 @@ FACTORS: dict[str, tuple[int, ...]] = {
     "viscous": (Parameters.beta_s,),
     "mass": (Parameters.m_s,),
     "spring": (Parameters.spring_k, Parameters.f_external),
+    "wall_heat": (Parameters.wall_heat,),
 }
 """Quantities that differ by a factor, and the parameters that it scales."""
 
 LIMITED = {
     "critical": (Parameters.valve_b, 0.1, 0.58),
     "kappa": (Parameters.air_kappa, 1.0, 1.45),
-    "wall_heat": (Parameters.wall_heat, 0.0, 400.0),
 }
 """Quantities of a cylinder between two limits: parameter, and limits. They move by the normal
 distribution function, so that a fit of them has no bounds."""
@@ -56,6 +56,8 @@ def shift(setup: Setup, name: str, amount: float) -> None:
         shift_rise(setup, amount)
     elif name == "fall":
         shift_fall(setup, amount)
+    elif name == "wall_density":
+        setup.p.wall_density += amount
     elif name in LIMITED:
         index, low, high = LIMITED[name]
         share = (setup.p[index] - low) / (high - low)

@@ -82,8 +82,8 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     alphas = exponents(abs(v), p)
     outside_1, outside_2 = leak_1 + across, leak_2 - across
     if m.masses != 0:
-        leak_1 = energy_source(leak_1, v_1, t_1, p)
-        leak_2 = energy_source(leak_2, v_2, t_2, p)
+        leak_1 = energy_source(leak_1, v_1, y.m_1, t_1, p)
+        leak_2 = energy_source(leak_2, v_2, y.m_2, t_2, p)
         alphas = p.air_kappa, p.air_kappa, p.air_kappa, p.air_kappa
     dv_1 = p.area_p * v
     dv_2 = -p.area_p2 * v

@@ -145,6 +145,7 @@ class Parameters(Record):
     valve_b: Value  # critical pressure ratio of a cylinder's valves
     air_kappa: Value  # exponent of a cylinder's chambers; 0: those of the thesis
     wall_heat: Value  # heat transfer coefficient of a cylinder's walls [W/(m^2 K)]
+    wall_density: Value  # exponent of the air's density in it
     # geometry
     stroke: Value = given("fixed.stroke", "length.stroke")
     x_free: Value = given("", "length.x_free_total")

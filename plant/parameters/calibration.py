@@ -12,7 +12,7 @@ from __future__ import annotations
 
 QUANTITIES = (
     *("friction", "breakaway", "viscous", "mass", "spring", "rise", "fall", "flow_in", "flow_out"),
-    *("critical", "volume_a", "volume_b", "kappa", "wall_heat"),
+    *("critical", "volume_a", "volume_b", "kappa", "wall_heat", "wall_density"),
 )
 OF_TRUCK = {
     **dict.fromkeys(("friction", "flow_in", "flow_out", "volume_a", "volume_b"), "1"),

@@ -30,6 +30,7 @@ UNITS = {
     "cylinder.valve_cda_out": "m^2",
     "cylinder.valve_b": "-",
     "cylinder.wall_heat": "W/(m^2 K)",
+    "cylinder.wall_density": "-",
     "cylinder.kappa": "-",
     "cylinder.tube_length": "m",
     "cylinder.tube_diameter": "m",
@@ -43,17 +44,29 @@ acting: 1 single (the rod's side is open to the air, spring return), 2 double; b
 dead volumes: of chamber 1 (behind the piston) and 2 (on the rod's side) at the retracted end, without
 tubes; spring: pushes back with preload + rate x; valve_c: sonic conductance C of the valve's inlet
 and outlet, or valve_cda: the same as C_d A; valve_b: its critical pressure ratio (ISO 6358); wall_heat:
-heat transfer coefficient of the walls; kappa: ratio of the air's specific heats; tube: from the valve to each chamber, length 0 for none; valve_frequency, damping (0: first order) and
+heat transfer coefficient of the walls at a density of 1.185 kg/m^3, and wall_density the power of the density
+with which it grows (0.5 to 0.8 for forced convection, 1 for a constant time constant, 0 for a constant one);
+kappa: ratio of the air's specific heats; tube: from the valve to each chamber, length 0 for none; valve_frequency, damping (0: first order) and
 dead_zone: of a proportional valve's spool (`plant.devices.spool`), without them the valves are on/off.
 """
 
 PROPORTIONAL = ("cylinder.valve_frequency", "cylinder.valve_damping", "cylinder.valve_dead_zone")
-USUAL = {"cylinder.valve_b": 0.5, "cylinder.wall_heat": 40.0, "cylinder.kappa": 1.4}
+USUAL = {
+    "cylinder.valve_b": 0.5,
+    "cylinder.wall_heat": 40.0,
+    "cylinder.wall_density": 0.0,
+    "cylinder.kappa": 1.4,
+}
 """Values that a data sheet may leave out. Few valves lie outside b = 0.2 to 0.5, and few cylinders outside
 h = 10 to 120 W/(m^2 K) (Carneiro and de Almeida 2006)."""
-PACKED = dict(zip(USUAL, ("valve_b", "wall_heat", "air_kappa"), strict=True))
+PACKED = dict(zip(USUAL, ("valve_b", "wall_heat", "wall_density", "air_kappa"), strict=True))
 """The same values by their names in the packed parameters."""
-RANGES = {"valve_b": (0.0, 0.9), "wall_heat": (0.0, 1e4), "kappa": (1.0, 1.7)}
+RANGES = {
+    "valve_b": (0.0, 0.9),
+    "wall_heat": (0.0, 1e6),
+    "wall_density": (-2.0, 2.0),
+    "kappa": (1.0, 1.7),
+}
 CHOKED = 0.6847314563772704
 """Flow function of a choked orifice, sqrt(g (2 / (g + 1))^((g + 1) / (g - 1))) of g = 1.4."""
 ROOT_RT0 = sqrt(287.05 * 293.15)

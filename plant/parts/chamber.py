@@ -15,6 +15,9 @@ from plant.kernel.views import unlikely
 from plant.parts.flow import charge, discharge, iso_6358, orifice
 from plant.parts.term import added, not_negative
 
+RHO_0 = 1.185
+"""Density of ISO 6358's reference air [kg/m^3]."""
+
 
 @inlined
 def valve_flow_in(pressure, supply, kelvin, p, c):
@@ -145,14 +148,16 @@ def temperature(pressure, volume, mass, p):
 
 
 @inlined
-def energy_source(leak, volume, kelvin, p):
+def energy_source(leak, volume, mass, kelvin, p):
     """Return what leaks and walls do to the energy of a cylinder's chamber, over R [K kg/s].
 
-    kappa leak + (kappa - 1) h A (T_wall - T) / R; the walls have the supply's temperature, and their
-    area is that of a cylinder of the piston's bore and the chamber's volume.
+    kappa leak + (kappa - 1) h A (T_wall - T) / R, h by the power `wall_density` of the air's density; the
+    walls have the supply's temperature, their area is that of a cylinder of the piston's bore and the
+    chamber's volume.
     """
     area = 2.0 * p.area_p + 2.0 * volume * sqrt(pi / p.area_p)
-    heat_w = p.wall_heat * area * (p.t_gas - kelvin)
+    transfer = p.wall_heat * (mass / (volume * RHO_0)) ** p.wall_density
+    heat_w = transfer * area * (p.t_gas - kelvin)
     return p.air_kappa * leak + (p.air_kappa - 1.0) * heat_w / p.r_air
 
 

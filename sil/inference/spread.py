@@ -28,7 +28,8 @@ CYLINDER = {
     "volume_a": (0.3, "cylinder.dead_volume_1"),
     "volume_b": (0.3, "cylinder.dead_volume_2"),
     "kappa": (1.5, ""),
-    "wall_heat": (1.0, ""),
+    "wall_heat": (2.0, ""),
+    "wall_density": (0.5, ""),
 }
 """By quantity of a data sheet: standard deviation of its logarithm (of the delays in s; of what is limited in
 normal deviations), and the value whose `low` and `high` state another one as a 95 % interval.

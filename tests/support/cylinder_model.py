@@ -22,7 +22,13 @@ VALUES = {
     "tube_length": (1.0, "m"),
     "tube_diameter": (0.004, "m"),
 }
-OPTIONAL = {"valve_c_in": "m^3/(s Pa)", "valve_b": "-", "wall_heat": "W/(m^2 K)", "kappa": "-"}
+OPTIONAL = {
+    "valve_c_in": "m^3/(s Pa)",
+    "valve_b": "-",
+    "wall_heat": "W/(m^2 K)",
+    "wall_density": "-",
+    "kappa": "-",
+}
 
 
 def model(folder: Path, **changes: float) -> Path:

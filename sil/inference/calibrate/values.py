@@ -97,6 +97,7 @@ def cylinder_values(
         "cylinder.spring_preload": 0.0 - float(p.f_external),
         "cylinder.valve_b": float(p.valve_b),
         "cylinder.wall_heat": float(p.wall_heat),
+        "cylinder.wall_density": float(p.wall_density),
         "cylinder.kappa": float(p.air_kappa),
         "cylinder.tube_length": 0.0,
         **delays(setup),
