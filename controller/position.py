@@ -188,7 +188,9 @@ class PositionEstimator:
             return
         gap = (index - self._index) % 256
         if not self._settled or gap > self._longest_gap:
-            self._settle(raw_m)
+            if self._filter is not None:
+                self._filter.settle(raw_m)
+            self._settled, self._last = True, Sample(raw_m, raw_m, 0.0)
         else:
             self._filter_to(raw_m, gap)
         self._accept(index, accepted)
@@ -197,12 +199,6 @@ class PositionEstimator:
         self._plausibility.count(good)
         if self._plausibility.implausible:
             self._settled = False
-
-    def _settle(self, raw_m: float) -> None:
-        if self._filter is not None:
-            self._filter.settle(raw_m)
-        self._settled = True
-        self._last = Sample(raw_m, raw_m, 0.0)
 
     def _filter_to(self, raw_m: float, steps: int) -> None:
         """Filter up to a new sample; the velocity is the last difference over the period."""

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, NamedTuple
 from msgspec import Struct
 
 from controller.settings import ControlConfig, bounded
-from controller.strategies.foresight import Foresight, ForesightParameters, Outcome
+from controller.strategies.foresight import Foresight, ForesightParameters
 from controller.strategies.into_gear import Command
 
 
@@ -59,13 +59,11 @@ class Predictive(Foresight):
     def plan(self, spent_s: float) -> Command:
         """Try every sequence; of equals the first, which does least, wins."""
         best, least = self._sequences[0], float("inf")
+        weights = self.parameters
         for sequence in self._sequences:
-            cost = self._cost(self.trial(*sequence))
+            outcome = self.trial(*sequence)
+            late = weights.time_weight_m_s2 * outcome.time_s
+            cost = outcome.speed_m_s + late + weights.way_weight_per_s * outcome.left_m
             if cost < least:
                 best, least = sequence, cost
         return Command(best.charge_off_s > 0.0, best.brake_on_s <= 0.0)
-
-    def _cost(self, outcome: Outcome) -> float:
-        parameters = self.parameters
-        late = parameters.time_weight_m_s2 * outcome.time_s
-        return outcome.speed_m_s + late + parameters.way_weight_per_s * outcome.left_m

@@ -18,9 +18,9 @@ from plant.batch.lane_control import Result
 from plant.batch.lane_steps import WIDTH
 from plant.batch.lanes import MOVING_STATES, Batch, Room, find_covered, room_for_results, run_lanes
 from plant.batch.singles import run_singles
+from plant.devices.valve import NS_PER_S
 from plant.effects.setup import Setup
 from plant.integrator.filling_curves import NO_CURVES, filling_curves
-from plant.integrator.hybrid import NS
 from plant.kernel.layout import FlowMap, Modes, Parameters
 from plant.kernel.packing import Floats, Ints, fresh_modes, scales, state_record
 from plant.systems.stroke import valve_moves
@@ -96,7 +96,9 @@ class Strokes:
         drives: list[Drive] = []
         for setup in setups:
             before, like = like, setup.driven_by
-            drives.append(drives[-1] if like == before else drive_of(setup, round(duration_s * NS)))
+            drives.append(
+                drives[-1] if like == before else drive_of(setup, round(duration_s * NS_PER_S))
+            )
         modes_, valves, switches = zip(*drives, strict=True)
         longest = max(map(len, switches))
         return cls.driven(
@@ -137,7 +139,7 @@ def drive_of(setup: Setup, end_ns: int) -> Drive:
     valves = np.zeros(3)
     for index, name in enumerate(conditions.chambers):
         valves[index] = 1.0 if name in conditions.charged_before else 0.0
-    moves = [(at / NS, *move) for at, *move in valve_moves(setup, end_ns)]
+    moves = [(at / NS_PER_S, *move) for at, *move in valve_moves(setup, end_ns)]
     return m.array, valves, np.array(moves, dtype=np.float64).reshape(-1, 4)
 
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from plant.batch.batch import BATCH_TOLERANCE, Drive, Strokes, drive_of
 from plant.batch.singles import EVENT_ROOM
 from plant.batch.tangents import Followers, to_quotients
+from plant.devices.valve import NS_PER_S
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
 from plant.integrator.filling_curves import filling_curves
-from plant.integrator.hybrid import NO_GRID, NS, REASONS
+from plant.integrator.hybrid import NO_GRID, REASONS
 from plant.integrator.integrate import advance
 from plant.integrator.loop import DONE
 from plant.integrator.workspace import Control, Run
@@ -46,7 +47,7 @@ class _Ready(NamedTuple):
         control.modes, run.u0 = modes, valves
         typical = scales(system)
         run.scale[: len(typical)] = typical
-        run.tolerance, run.end, run.wanted = tolerance, end_ns / NS, FIRST_STEP_S
+        run.tolerance, run.end, run.wanted = tolerance, end_ns / NS_PER_S, FIRST_STEP_S
         control.states = active_states(system, Modes(control.modes))
         control.starting = 1
         rows = modes[None], valves[None], moves[None]
@@ -71,7 +72,7 @@ class Predictor:
     def __init__(self, sample_ns: NDArray[np.int64], tolerance: float = 1e-7) -> None:
         self.sample_ns = sample_ns
         self.tolerance = tolerance
-        self._sample_s = sample_ns / NS
+        self._sample_s = sample_ns / NS_PER_S
         self._run, self._control = np.zeros(Run.size), np.zeros(Control.size, dtype=np.int64)
         self._events = np.zeros((EVENT_ROOM, EventRow.size))
         self._happened = 0

@@ -116,7 +116,12 @@ class PositionCircuit:
         self._noise_sd_s = config.noise_sd_s
         self._noise = named_generator(seed, "position sensor", "noise")
         self._faults = [
-            _active(fault, sensor.tick_s, named_generator(seed, "position sensor", i))
+            ActiveFault(
+                fault,
+                named_generator(seed, "position sensor", i),
+                partial(offset_pulse_s, sensor.tick_s, fault.offset_s),
+                partial(garbage_pulse_s, sensor.tick_s, fault.garbage_s),
+            )
             for i, fault in enumerate(faults)
         ]
         self.period_ns = seconds_to_ns(config.period_s)
@@ -155,15 +160,6 @@ class PositionCircuit:
         """Report due at `next_report_ns`, None when a fault swallows it; moves on to the next."""
         self.next_report_ns += self.period_ns
         return self._waiting.popleft()
-
-
-def _active(fault: SensorFault, tick_s: float, generator: Generator) -> ActiveFault[float]:
-    return ActiveFault(
-        fault,
-        generator,
-        partial(offset_pulse_s, tick_s, fault.offset_s),
-        partial(garbage_pulse_s, tick_s, fault.garbage_s),
-    )
 
 
 def offset_pulse_s(tick_s: float, offset_s: float, pulse_s: float) -> float:

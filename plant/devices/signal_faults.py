@@ -150,7 +150,15 @@ class SpeedSensors:
     ) -> None:
         """`wheels`: of input and output shaft; if left out, the speeds are exact."""
         self._wheels = wheels
-        self._faults = [_active(fault, seed, i) for i, fault in enumerate(faults)]
+        self._faults = [
+            ActiveFault(
+                fault,
+                named_generator(seed, "shaft speeds", i),
+                partial(offset_input, fault.offset_rad_s),
+                partial(garbage_speeds, fault.garbage_rad_s),
+            )
+            for i, fault in enumerate(faults)
+        ]
 
     def report(
         self, now_ns: int, input_rad_s: float, output_rad_s: float, ratio: float = 1.0
@@ -170,15 +178,6 @@ class SpeedSensors:
         if speeds is None or not self._faults:
             return speeds
         return _in_range(speeds[0]), _in_range(speeds[1])
-
-
-def _active(fault: SpeedFault, seed: int, index: int) -> ActiveFault[Speeds]:
-    return ActiveFault(
-        fault,
-        named_generator(seed, "shaft speeds", index),
-        partial(offset_input, fault.offset_rad_s),
-        partial(garbage_speeds, fault.garbage_rad_s),
-    )
 
 
 def warmed(offset_k: float, temperature_k: float) -> float:

@@ -19,12 +19,12 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import types
 
 from plant.effects.setup import Setup
 from plant.errors import InputError
 from plant.kernel.compiled import c_function
 from plant.kernel.layout import ADDED_VALUES, MOST_ADDED, Slot
+from plant.kernel.views import TERM
 from plant.parts.term import DIRECTION, POSITION, PRESSURE, SPEED, TIME, sum_of_terms
 
 __all__ = ["ARGUMENTS", "AddedTerm", "Slot", "added_term"]
@@ -56,8 +56,6 @@ TRIED: dict[str, tuple[float, ...]] = {
 
 TIME_LIMIT_S = 20.0
 """Of a term for its values all over the ranges; one that takes longer never ends."""
-
-SIGNATURE = types.float64(*[types.float64] * 6, types.CPointer(types.float64))
 
 
 class AddedTerm:
@@ -97,7 +95,7 @@ class AddedTerm:
         )
         exec(source, space)
         try:
-            return numba.cfunc(SIGNATURE, error_model="numpy")(space["entry"])
+            return numba.cfunc(TERM, error_model="numpy")(space["entry"])
         except Exception as error:  # numba's own errors, and what its inspection of the code meets
             raise InputError(f"{self._line_of(error)}: {reason_of(error)}") from None
 
@@ -188,7 +186,7 @@ def write_term(setup: Setup, slot: float, address: int, values: Sequence[float])
 @functools.cache
 def adder_address() -> int:
     """Return the address of the function that the equations call."""
-    return int(c_function(sum_of_terms, SIGNATURE).address)
+    return int(c_function(sum_of_terms, TERM).address)
 
 
 def reason_of(error: Exception) -> str:

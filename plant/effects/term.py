@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plant.effects.added_term import ARGUMENTS, SIGNATURE, write_term
+from plant.effects.added_term import ARGUMENTS, write_term
 from plant.effects.effect import EffectParameter, Scope, Values, effect
 from plant.effects.setup import Curve, Setup
 from plant.effects.tolerances import shift
@@ -16,6 +16,7 @@ from plant.errors import InputError
 from plant.kernel.compiled import c_function
 from plant.kernel.layout import FIXED, TERM_NODES, Over, Slot
 from plant.kernel.packing import Floats
+from plant.kernel.views import TERM
 from plant.parts.term import AGAINST_MOTION, POSITION, PRESSURE, SPEED, TIME, tabulated
 
 LEVELLED = {
@@ -184,7 +185,7 @@ def add_table(setup: Setup, values: Mapping[str, float], nodes: Floats) -> None:
 @functools.cache
 def table_address() -> int:
     """Return the address of the compiled `tabulated`."""
-    return int(c_function(tabulated, SIGNATURE).address)
+    return int(c_function(tabulated, TERM).address)
 
 
 EFFECTS = (term,)

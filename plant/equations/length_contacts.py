@@ -27,8 +27,6 @@ EPS_M = 1e-13
 EPS_M_S = 1e-11
 EPS_N = 1e-7
 EPS_PA = 1e-7
-EPS_M2 = 1e-18
-EPS_CD = 1e-12
 UNREACHED = 1.0e30
 
 
@@ -188,9 +186,9 @@ def damper_guards(distance, speed, oil_pa, m, p, g, low):
     """Guards of the corners of the damper's law, and of its oil; returns the lowest guard so far."""
     if m.stay != 0:
         capped, opened, lifted = damper_borders(distance, speed, p)
-        low = put(g, Guard.CAPPED, (capped if m.capped != 0 else -capped) + EPS_M2, low)
+        low = put(g, Guard.CAPPED, (capped if m.capped != 0 else -capped) + 1e-18, low)
         low = put(g, Guard.OPENED, (opened if m.opened != 0 else -opened) + EPS_M, low)
-        low = put(g, Guard.LIFTED, (lifted if m.lifted != 0 else -lifted) + EPS_CD, low)
+        low = put(g, Guard.LIFTED, (lifted if m.lifted != 0 else -lifted) + 1e-12, low)
     if m.damper == COMPRESSIBLE:
         if m.oil_rest == 0:
             low = put(g, Guard.OIL_EMPTY, oil_pa - p.p_atm + EPS_PA, low)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from plant.devices.valve import NS_PER_S
 from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
 from plant.integrator.filling_curves import NO_CURVES
@@ -39,7 +40,6 @@ from plant.kernel.packing import (
     state_record,
 )
 
-NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
 NO_GRID = np.zeros((1, GridRow.size))
 
@@ -198,15 +198,15 @@ class HybridSystem:
                 raise ValueError(f"switch at {instant} ns is out of order or out of the interval")
             last = instant
             rows[k] = (
-                (instant - self.now_ns) / NS,
+                (instant - self.now_ns) / NS_PER_S,
                 chamber,
                 position,
                 slope[0] if slope else 0.0,
             )
-        samples = np.zeros(0) if sample_ns is None else (sample_ns - self.now_ns) / NS
+        samples = np.zeros(0) if sample_ns is None else (sample_ns - self.now_ns) / NS_PER_S
         out = np.zeros((samples.shape[0], self._n))
         self._control.events = 0
-        self._run.end = (until_ns - self.now_ns) / NS
+        self._run.end = (until_ns - self.now_ns) / NS_PER_S
         code = advance(
             self._run.array, self._control.array, self._p.array, self._c, rows, samples, out,
             self._record, NO_CURVES, NO_GRID,
@@ -214,7 +214,7 @@ class HybridSystem:
         self._control.starting = 0
         self._note_events()
         if code != DONE:
-            stopped_s = self.now_ns / NS + float(self._run.time)
+            stopped_s = self.now_ns / NS_PER_S + float(self._run.time)
             message = f"integration stopped after {stopped_s:.6f} s: {REASONS[code]}"
             shut = emptied(self._system, self._p, [self._y], share=0.01)
             if shut:
@@ -234,7 +234,7 @@ class HybridSystem:
             self._impact_j += float(row.lost)
             self.events.append(
                 Event(
-                    self.now_ns / NS + float(row.time),
+                    self.now_ns / NS_PER_S + float(row.time),
                     name,
                     float(row.x),
                     speed,

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from plant.devices.spool import spool_moves
-from plant.devices.valve import seconds_to_ns, switch_schedule
+from plant.devices.valve import NS_PER_S, seconds_to_ns, switch_schedule
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, KINDS, StrokeConditions
 from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
-from plant.integrator.hybrid import DEFAULT_TOLERANCE, NS, Balance, Event, HybridSystem
+from plant.integrator.hybrid import DEFAULT_TOLERANCE, Balance, Event, HybridSystem
 from plant.kernel.layout import FIRST_PRESSURE, FIXED, Parameters, Quadratures, pressure_slice
 from plant.kernel.packing import Floats, state_record
 from plant.parameters import ParameterSet
@@ -213,7 +213,7 @@ def run_setup(
     """Simulate a stroke that is ready to run; time_s: [n] in s (see `simulate`)."""
     conditions = setup.conditions
     time_s = np.asarray(time_s, dtype=np.float64)
-    sample_ns = np.rint(time_s * NS).astype(np.int64)
+    sample_ns = np.rint(time_s * NS_PER_S).astype(np.int64)
     end_ns = int(sample_ns[-1])
     system = StrokeSystem(setup, tolerance)
     chain = setup.chain

@@ -155,8 +155,10 @@ def compare(before: Asked, after: Asked, scenarios: Mapping[str, str]) -> dict[s
 def frames(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
     """Return the frames of a run as the tab Bus shows them. Raises InputError and RunError."""
     loaded, run = _run(asked, scenarios)
+    sent = (entry.frame for entry in run.record.frames)
+    bits = sum(frame_bits(f.can_id, f.data) + INTERMISSION_BITS for f in sent)
     return {
-        "bus_load": _load(run.record, loaded.scenario),
+        "bus_load": bits / (loaded.scenario.bus.bitrate * loaded.scenario.duration_s),
         "frames": list(_frames(run.record)),
         "plots": content(bus_stack(run)),
     }
@@ -176,13 +178,6 @@ def _cached(
     """Run what is asked; `_written`: when its files were, since an edited one is another scenario."""
     loaded = load_asked(msgspec.json.decode(asked, type=Asked), dict(scenarios))
     return loaded, run_in_memory(loaded)
-
-
-def _load(record: RunRecord, scenario: Scenario) -> float:
-    """Return the share of the run in which the bus carried frames of the record."""
-    frames = (entry.frame for entry in record.frames)
-    bits = sum(frame_bits(f.can_id, f.data) + INTERMISSION_BITS for f in frames)
-    return bits / (scenario.bus.bitrate * scenario.duration_s)
 
 
 def _metrics(before: Run, after: Run) -> Iterator[list[Any]]:

@@ -75,7 +75,12 @@ def find_settings(
             source, description = firmware, f"as in {firmware}"
         raw |= table
     if not with_plant:
-        _refuse_plant_settings(settings)
+        for key in settings:
+            if key.split(".")[0] not in ("controller", "firmware"):
+                raise InputError(
+                    f"--set {typed_toml.one_line(key, 60)}: not of the firmware, which is replayed "
+                    "alone; expected controller..., or --plant or --closed-loop"
+                )
     if not own_run and firmware is None:
         _refuse_impossible_periods(raw, log)
     loaded = load_scenario.from_table(raw, source, settings=settings)
@@ -158,12 +163,3 @@ def _refuse_impossible_periods(raw: dict[str, Any], log: str) -> None:
             f"{log}: the log shows {_periods(raw)}, with which the firmware does not work; "
             "expected a recording in real time, or its settings by --firmware or --run"
         ) from None
-
-
-def _refuse_plant_settings(settings: Settings) -> None:
-    for path in settings:
-        if path.split(".")[0] not in ("controller", "firmware"):
-            raise InputError(
-                f"--set {typed_toml.one_line(path, 60)}: not of the firmware, which is replayed "
-                "alone; expected controller..., or --plant or --closed-loop"
-            )

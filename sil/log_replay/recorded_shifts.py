@@ -51,10 +51,6 @@ NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
 MOST_PULSES: Final = 96
 GIVEN_UP_S: Final = 0.35
 """Time after which a commanded gear that was not reached is a failed shift, not a change of mind."""
-MOVED_M: Final = 3e-4
-"""Distance from which the stay has moved."""
-CHAMBER_GEARS: Final = "BNF"
-"""Gears that the chambers push to, in their order."""
 AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
 FRAME_S: Final = 0.00026
 """Time of a pulse's frame on a bus of 500 kbit/s; another bit rate is part of the delay's prior."""
@@ -228,8 +224,8 @@ class ShiftReader:
         start, end = gears
         assert start is not None
         pushed = [c for at, c, duty in episode.commands if duty >= self._duty_open]
-        wanted = [CHAMBER_GEARS[chamber] for chamber in pushed if CHAMBER_GEARS[chamber] != start]
-        moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > MOVED_M)
+        wanted = [gear for gear in ("BNF"[chamber] for chamber in pushed) if gear != start]
+        moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > 3e-4)
         first = max(int(np.searchsorted(measured_s, 0.0)), 1)
         still = end == start and not (len(moving) and moving[-1] >= first)
         lasted_s = (episode.commands[-1][0] - episode.begin_ns) / NS_PER_S
@@ -243,7 +239,7 @@ class ShiftReader:
         if failed:
             end = wanted[-1] if wanted else start
             off_s = (episode.commands[-1][0] - origin_ns) / NS_PER_S
-            last = int(np.searchsorted(measured_s, off_s + 0.1))  # followed a little longer
+            last = int(np.searchsorted(measured_s, off_s + 0.1))  # it may still move then
         else:
             last = int(moving[-1]) + 7 if len(moving) else 0
         last = min(max(last, first + 12), len(position), first + MOST_PULSES)

@@ -15,7 +15,6 @@ import msgspec
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
 from controller.node import ControllerNode
-from sil.coupling.transports.channel import Participant
 from sil.files.html_table import html_table
 from sil.files.overrides import Settings
 from sil.files.quantity import counted
@@ -30,7 +29,6 @@ from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, surv
 from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
 
-ESTIMATE = "ControllerStatus.estimate_m"
 FORGOTTEN_M = 1e-6
 """What the filter still remembers of the motion before a replay begun in the middle, at most."""
 
@@ -134,7 +132,9 @@ def _replay(request: ReplayRequest) -> ReplayResult:
         )
     receives = _receiving(ready, grid, ticks, "controller")
     with ExitStack() as stack:
-        firmware = stack.enter_context(closing(Unit(_firmware(ready))))
+        program = ready.loaded.scenario.firmware
+        start = partial(firmware_node, program) if program else ControllerNode
+        firmware = stack.enter_context(closing(Unit(partial(start, config))))
         reference = None
         if request.reference is not None:
             tree, name = request.reference
@@ -266,18 +266,11 @@ def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
 
 def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:
     """Allow for the filter's memory where the replay began while the control unit was at work."""
-    if (grid.fresh and not ticks.restarts) or ESTIMATE in options.tolerance:
+    if grid.fresh and not ticks.restarts:
         return options
-    tolerance = {**options.tolerance, ESTIMATE: FORGOTTEN_M}
+    tolerance = dict(options.tolerance)
+    tolerance.setdefault("ControllerStatus.estimate_m", FORGOTTEN_M)
     return msgspec.structs.replace(options, tolerance=tolerance)
-
-
-def _firmware(ready: ReplaySettings) -> Callable[[], Participant]:
-    """Return what starts the control unit under replay."""
-    config, program = ready.loaded.scenario.controller, ready.loaded.scenario.firmware
-    if program:
-        return partial(firmware_node, program, config)
-    return partial(ControllerNode, config)
 
 
 def _receiving(

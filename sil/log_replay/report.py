@@ -21,7 +21,6 @@ from sil.log_replay.comparison import Difference, StateHistory
 from sil.log_replay.edges import shift_text
 from sil.log_replay.excerpts import Excerpt, waveforms
 from sil.log_replay.replay import ReplayResult
-from sil.log_replay.truck_loop import OurShift
 from sil.log_replay.truck_replay import (
     ComparedShift,
     TruckReplay,
@@ -508,6 +507,7 @@ def truck_dict(replay: TruckReplay) -> dict[str, Any]:
 
 def _shift_dict(shift: ComparedShift) -> dict[str, Any]:
     recorded, sync = shift.recorded, shift.recorded.synchronisation
+    arrays = ("time_s", "position_m", "difference_rad_s")
     return {
         "number": shift.number,
         "title": shift.title,
@@ -523,15 +523,13 @@ def _shift_dict(shift: ComparedShift) -> dict[str, Any]:
             "signals": {name: s and s.origin for name, s in recorded.signals.items()},
         },
         "inputs": [entry._asdict() for entry in shift.inputs],
-        "ours": [_our_dict(ours) for ours in shift.ours],
+        "ours": [
+            {name: value for name, value in vars(ours).items() if name not in arrays}
+            for ours in shift.ours
+        ],
         "verdict": [truck_verdict(shift, column) for column in range(max(len(shift.ours), 1))],
         "notes": recorded.notes,
     }
-
-
-def _our_dict(ours: OurShift) -> dict[str, Any]:
-    arrays = ("time_s", "position_m", "difference_rad_s")
-    return {name: value for name, value in vars(ours).items() if name not in arrays}
 
 
 def truck_page(

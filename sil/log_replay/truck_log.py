@@ -29,7 +29,6 @@ from sil.shifts.reported import PGN_ETC1, PGN_ETC2
 SHAFT_SPEEDS: Final[tuple[Meaning, ...]] = ("input_shaft_rad_s", "output_shaft_rad_s")
 GEARS: Final[tuple[Meaning, ...]] = ("current_gear", "selected_gear")
 _FLAG_AND_SPEEDS: Final[tuple[Meaning, ...]] = ("shift_in_process", *SHAFT_SPEEDS)
-_ETC_NOT_AVAILABLE: Final = 0xFFFF
 _Taker = Callable[[LogFrame], None]
 
 
@@ -266,8 +265,8 @@ def _etc1(latest: dict[Meaning, float]) -> bytes:
 
 
 def _word(speed_rad_s: float | None) -> Sequence[int]:
-    raw = _ETC_NOT_AVAILABLE if speed_rad_s is None else round(speed_rad_s / (0.125 * pi / 30.0))
-    return (raw if 0 <= raw <= 0xFAFF else _ETC_NOT_AVAILABLE).to_bytes(2, "little")
+    raw = -1 if speed_rad_s is None else round(speed_rad_s / (0.125 * pi / 30.0))
+    return (raw if 0 <= raw <= 0xFAFF else 0xFFFF).to_bytes(2, "little")  # FFFF: not available
 
 
 def _etc2(latest: dict[Meaning, float]) -> bytes:

@@ -32,9 +32,6 @@ PULL_N, MESH_N = 100.0, 500.0
 REFERENCE_TORQUE_N_M, TOOTH_FRICTION, TOOTH_RADIUS_M = 2000.0, 0.1, 0.06
 """Engine's reference torque; friction coefficient and radius of the teeth that slide under it."""
 
-SUPPLY_PA: Final = (4e5, 1.6e6)
-"""Recorded supply pressures outside are taken as wrong."""
-
 
 class Input(NamedTuple):
     """A value that a simulation of a shift rests on, and where it is from."""
@@ -123,7 +120,7 @@ def _supply(recorded: RecordedShift) -> Input:
     if pressure is None:
         return Input(path, "nominal", "default", "no supply pressure in the log; the model's")
     value = float(np.median(pressure.values))
-    if not SUPPLY_PA[0] <= value <= SUPPLY_PA[1]:
+    if not 4e5 <= value <= 1.6e6:
         text = f"{pressure.origin}: {value * 1e-5:.2f} bar is no working pressure; the model's"
         return Input(path, "nominal", "default", text)
     return Input(path, value, "log", pressure.origin)

@@ -35,8 +35,6 @@ BEFORE_S, AFTER_S = 1.5, 1.5
 RATIO_BEFORE_S, RATIO_AFTER_S = (0.6, 0.05), (0.1, 0.7)
 """Speed ratios are medians from so long to so long before the start and after the end."""
 
-POSSIBLE_RATIOS: Final = (0.2, 40.0)
-"""Speed ratios outside are of a truck's neutral, clutch or sensor, not of a gear."""
 
 SLOWEST_RAD_S: Final = 2.1
 """Output speed (20 rpm) below which a ratio means nothing."""
@@ -178,7 +176,7 @@ def _speeds(recorded: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     w_in, w_out = entry.values, np.interp(time, output.time_s, output.values)
     moving = w_out > SLOWEST_RAD_S
     ratios = w_in[moving] / w_out[moving]
-    possible = (ratios > POSSIBLE_RATIOS[0]) & (ratios < POSSIBLE_RATIOS[1])
+    possible = (ratios > 0.2) & (ratios < 40.0)  # others: neutral, the clutch or a sensor
     ratio = Samples(time[moving][possible], ratios[possible], "")
     old = ratio.median(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
     new = ratio.median(recorded.end_s + RATIO_AFTER_S[0], recorded.end_s + RATIO_AFTER_S[1])

@@ -79,7 +79,8 @@ class Selection:
                 frames = [frame for frame in frames if frame[9] in self.channels]
             if self.ids or self.pgns:
                 keys = {(frame[1], frame[3]) for frame in frames}
-                wanted = {key for key in keys if self._wanted(key)}
+                by_pgn = {key for key in keys if key[1] and split_id(key[0]).pgn in self.pgns}
+                wanted = by_pgn | (keys & self.ids)
                 frames = [f for f in frames if (f[1], f[3]) in wanted and not f[5]]
             yield frames
 
@@ -94,9 +95,6 @@ class Selection:
                 "expected seconds from its first frame"
             )
         return bound_ns
-
-    def _wanted(self, key: tuple[int, bool]) -> bool:
-        return key in self.ids or (key[1] and split_id(key[0]).pgn in self.pgns)
 
 
 def _words(texts: Sequence[str]) -> list[str]:

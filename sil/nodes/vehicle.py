@@ -49,7 +49,6 @@ PERIODS_NS = {
 }
 """Period of each message; TSC1 only while the transmission controls the engine."""
 
-_STALE = E2eConfig(timeout_ns=50_000_000)
 _BY_PEDAL, _BY_TRANSMISSION = 1, 6
 
 
@@ -109,8 +108,9 @@ class VehicleNode(Node):
         }
         self._ratios = {Gear.BACKWARD: config.ratio_backward, Gear.FORWARD: config.ratio_forward}
         self._air = Air1(max(0.0, supply_pressure_pa - 101_325.0))  # above the atmosphere
-        self._status = Receiver(ControllerStatus, _STALE)
-        self._speeds = Receiver(DrivelineSpeeds, _STALE)
+        stale = E2eConfig(timeout_ns=50_000_000)
+        self._status = Receiver(ControllerStatus, stale)
+        self._speeds = Receiver(DrivelineSpeeds, stale)
         self._receivers: dict[int, Receiver[Any]] = {
             can_id_of(r.message_type): r for r in (self._status, self._speeds)
         }

@@ -98,16 +98,13 @@ class EngineTrace:
             return None
         torques, speeds = self.torque_percent, self.speed_rpm
         torque = median(torques[begin:first])
+        each = range(begin, end - 1)  # a sample counts up to the next
+        low_ns = (self.time_ns[n + 1] - self.time_ns[n] for n in each if torques[n] < torque / 2)
         return EngineFigures(
             torque,
             min(torques[first:last]),
             median(torques[last:end]) if last < end else None,
-            self._time_below(begin, end, torque / 2) if torque >= 10 else None,
+            sum(low_ns) / 1e9 if torque >= 10 else None,
             median(speeds[begin:first]),
             median(speeds[last:end]) if last < end else None,
         )
-
-    def _time_below(self, begin: int, end: int, limit_percent: float) -> float:
-        """Return how long the torque was below a limit, in s; each sample counts up to the next."""
-        low = [n for n in range(begin, end - 1) if self.torque_percent[n] < limit_percent]
-        return sum(self.time_ns[n + 1] - self.time_ns[n] for n in low) / 1e9

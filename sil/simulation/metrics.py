@@ -45,7 +45,6 @@ WORST = (
 )
 """Figures of a shift of which the summary gives the largest."""
 
-LAST = tuple(name for name in LAGS if "held" not in name)
 METRICS = {
     "shift_time_s": "time from request to stop",
     "impact_speed_m_s": "impact speed",
@@ -63,9 +62,7 @@ METRICS = {
     "frames": "frames on the bus",
     **cost.METRICS,
 }
-"""Numbers of the summary: of all shifts, of the last one (`LAST`), of the run as a whole."""
-
-GEAR_CHAMBER = {Gear.BACKWARD: "B", Gear.NEUTRAL: "N", Gear.FORWARD: "F"}
+"""Numbers of the summary: of all shifts, of the last one (the lags), of the run as a whole."""
 
 
 class Impact(msgspec.Struct, frozen=True, kw_only=True):
@@ -218,8 +215,8 @@ def shift_figures(
     truth = record.truth
     window = _within(truth["time_s"], start, until)
     t, x = truth["time_s"][window], truth["position_m"][window]
-    moves = target in GEAR_CHAMBER and len(t) > 0
-    letter = GEAR_CHAMBER.get(target, "N")
+    moves = target is not Gear.UNKNOWN and len(t) > 0
+    letter = "N" if target is Gear.UNKNOWN else target.name[0]  # of its chamber
     goal = gear_position_m(target, record.stroke_m) if moves else 0.0
     origin = float(x[0]) if len(x) else 0.0
     arrived = first_motion = stop = None
@@ -386,7 +383,7 @@ def summary(
             name: max((v for s in shifts if (v := getattr(s, name)) is not None), default=None)
             for name in WORST
         },
-        **{name: last and getattr(last, name) for name in LAST},
+        **{name: last and getattr(last, name) for name in LAGS if "held" not in name},
         "air_used_kg": air_used_kg,
         "valve_switchings": switchings,
         "frames": frames,

@@ -272,7 +272,10 @@ def _judge(
             if why is None:
                 lockstep = "mode" not in bus  # a free-running bus has no simulated arbitration
                 checks = checks_of(loaded, observed, shifts, figures, lockstep=lockstep)
-                checks += _balance_checks(balances)
+                closed = balances.get("closed") == 1.0
+                state = ("closed" if closed else "open") if balances else None
+                balance = "mass and energy balances"
+                checks.append(Check(name=balance, passed=closed, value=state, limit="closed"))
                 if lockstep:
                     checks += response_check(scenario, bus)
     if why is None and record is None:
@@ -345,9 +348,3 @@ def _figures(
         for start, source, target, until in spans
     ]
     return observed, shifts, switchings, checked
-
-
-def _balance_checks(balances: dict[str, Any]) -> list[Check]:
-    closed = balances.get("closed") == 1.0
-    state = ("closed" if closed else "open") if balances else None
-    return [Check(name="mass and energy balances", passed=closed, value=state, limit="closed")]

@@ -67,7 +67,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     faults = [(e.arrival_ns / NS_PER_S, m.faults) for e, m in status if m is not None]
     before = reduce(or_, (bits for at, bits in faults if at < start), Fault.NONE)
     later = [(at, bits) for at, bits in faults if at >= start]
-    energised = _energised(record)
+    energised = np.any([truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0)
     late = np.flatnonzero(energised & (time_s >= start))
     off = math.nan
     if len(late) and late[-1] + 1 < len(time_s):
@@ -92,11 +92,6 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "orphan_energised_s": orphan_energised_s(record, scenario),
         "false_gear_s": false_gear_s(record, scenario),
     }
-
-
-def _energised(record: RunRecord) -> np.ndarray:
-    """Return at which rows of the trace a coil was meant to be energised."""
-    return np.asarray(np.any([record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0))
 
 
 def _reported_at(status: Reports, at_s: float) -> float:

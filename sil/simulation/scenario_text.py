@@ -50,18 +50,14 @@ def _lines(table: Mapping[str, Any], prefix: str) -> Iterator[str]:
     """Yield the lines of a table: its values, then its tables."""
     inner: list[tuple[str, Any]] = []
     for key, value in table.items():
-        name = key if re.compile(r"[A-Za-z0-9_-]+").fullmatch(key) else json.dumps(key)
-        if isinstance(value, dict) or (value and _is_tables(value)):
+        name = key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
+        tables = value if isinstance(value, list) else [value]
+        if tables and all(isinstance(item, dict) for item in tables):
             inner.append((prefix + name, value))
         else:
             yield f"{name} = {toml_value(value)}"
     for name, value in inner:
-        tables = value if isinstance(value, list) else [value]
-        for item in tables:
+        for item in value if isinstance(value, list) else [value]:
             yield ""
             yield f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
             yield from _lines(item, f"{name}.")
-
-
-def _is_tables(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(item, dict) for item in value)

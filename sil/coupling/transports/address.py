@@ -17,9 +17,6 @@ from pathlib import Path
 from can_dbc.errors import InputError, RunError
 from sil.coupling.transports.channel import silent
 
-_LONGEST_PATH = 107
-"""sun_path holds 108 bytes, the last one zero."""
-
 
 def folder() -> Path:
     """Return the folder of the sockets, made if missing, for this user only.
@@ -52,8 +49,8 @@ def socket_path(channel: str) -> Path:
         raise InputError(
             f"channel {channel!r}: expected a name of letters, digits, '_', '.', '-', or a path"
         )
-    if len(os.fsencode(path)) > _LONGEST_PATH:
-        raise InputError(f"channel {channel!r}: {path}; expected at most {_LONGEST_PATH} bytes")
+    if len(os.fsencode(path)) > 107:  # sun_path holds 108 bytes, the last one zero
+        raise InputError(f"channel {channel!r}: {path}; expected at most 107 bytes")
     if not path.parent.is_dir():
         raise InputError(f"channel {channel!r}: no folder {path.parent}; expected an existing one")
     return path

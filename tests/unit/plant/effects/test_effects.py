@@ -13,7 +13,6 @@ from plant.effects.term import FORMS, LEVELLED, LEVELS, term
 
 ROOT = Path(__file__).resolve().parents[4]
 ELSEWHERE = {
-    ("sil/cli/whatif.py", "sensor_delay"),  # a shipped study
     ("plant/batch/lane_steps.py", "alpha_speed"),  # a field of the parameters
 }
 ORDINARY = {"stribeck", "detent", "unnamed"}
