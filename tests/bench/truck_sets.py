@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from plant.effects import CATALOGUE
 from sil.cli import main
+from sil.inference.candidate import scaled_of
 from tests.support.truck_logs import ALARMS, drawn_cause, share
 from tests.support.truck_sets import drawn_set
 
@@ -41,6 +44,20 @@ def one(seed: int, is_faulty: bool) -> dict[str, Any]:
     }
 
 
+def by_noticed(row: dict[str, Any]) -> float:
+    """Return the size hidden, by the one that the diagnosis states as noticed; 0 if it states none."""
+    parameter = CATALOGUE[row["hidden"]].parameters[0]
+    sizes = [abs(scaled_of(parameter, value)) for value in row["noticed_from"]]
+    return abs(scaled_of(parameter, row["size"])) / min(sizes) if sizes else 0.0
+
+
+def outcome(row: dict[str, Any]) -> str:
+    """Return the verdict on a faulty truck, and whether the hidden cause is the first named."""
+    if not row["causes"]:
+        return str(row["verdict"])
+    return f"{row['verdict']} {'right' if next(iter(row['causes'])) == row['hidden'] else 'wrong'}"
+
+
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Yield what the rows of `one` say."""
     clean = [row for row in rows if not row["hidden"]]
@@ -53,6 +70,12 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield f"healthy trucks with an alarm: {share(falsely, len(clean))}"
     yield f"faulty trucks with an alarm: {share(len(alarms), len(faulty))}"
     yield f"the hidden cause among those reported: {share(sum(r['hidden'] in r['causes'] for r in alarms), len(alarms))}"
+    yield f"faulty trucks: {', '.join(f'{n} {kind}' for kind, n in Counter(map(outcome, faulty)).most_common())}"
+    for least, most in ((0.0, 0.0), (0.0, 1.0), (1.0, 2.0), (2.0, np.inf)):
+        within = [r for r in faulty if least < (by := by_noticed(r)) <= most or by == least == most]
+        title = f"{least:g} to {most:g} of the size stated" if most else "with no size stated"
+        alarm = sum(row["verdict"] in ALARMS for row in within)
+        yield f"alarms of faults {title}: {share(alarm, len(within))}"
     yield f"a wrong cause above 0.8: {share(len(wrong), len(rows))}"
     yield f"failing shifts without an alarm: {len(silent)}"
     yield f"CPU: median {seconds[len(seconds) // 2]} s, largest {seconds[-1]} s"
