@@ -149,7 +149,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     names, header, notes = same[-1], above[same[-1]], []
     if len(same) > 1 and _has_units(header, above[same[-2]]):
         names, notes = same[-2], ["units in a row of their own"]
-        header = _with_units(above[names], header)
+        pairs = zip(above[names], (unit.strip("[]() ") for unit in header), strict=True)
+        header = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
     if '"' in lines[names]:
         notes.append("quoted header")
     if names:
@@ -195,11 +196,6 @@ def _has_units(cells: Sequence[str], above: Sequence[str]) -> bool:
         return False
     filled = [cell for cell in cells if cell]
     return len(set(filled)) < len(filled) or _is_units(cells)
-
-
-def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
-    pairs = zip(names, (unit.strip("[]() ") for unit in units), strict=True)
-    return [f"{name} [{unit}]" if unit else name for name, unit in pairs]
 
 
 def _check_widths(path: Path, rows: Sequence[Sequence[str]], layout: _Layout, whole: bool) -> None:

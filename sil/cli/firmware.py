@@ -36,18 +36,14 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.new is not None:
         if arguments.new.suffix == ".c":
-            _write_header(arguments.new.with_name("opc4.h"))
+            from sil.files.atomic import write_atomically
+            from sil.firmware.contract import header
+
+            write_atomically(arguments.new.with_name("opc4.h"), header())
         return write_draft("firmware", arguments, f"opc4 firmware --check {arguments.new}")
     if arguments.check is None:
         raise InputError("nothing to do; expected --new FILE or --check FILE")
     return _check(arguments.check, arguments.json)
-
-
-def _write_header(path: Path) -> None:
-    from sil.files.atomic import write_atomically
-    from sil.firmware.contract import header
-
-    write_atomically(path, header())
 
 
 def _check(firmware: str, as_json: bool) -> int:

@@ -113,7 +113,9 @@ def run(arguments: argparse.Namespace) -> int:
     loaded = load_scenario.load(arguments.scenario, **overrides)
     rules = load_rules(arguments.rules)
     shipped = None
-    if not arguments.strict and _is_changed_shipped(arguments, loaded):
+    is_shipped = loaded.source == str(load_scenario.shipped().get(arguments.scenario))
+    is_changed = bool(arguments.settings or arguments.model or arguments.effects)
+    if is_shipped and is_changed and not arguments.strict:
         shipped = load_scenario.load(arguments.scenario, seed=arguments.seed)
         table, path = load_scenario.read(arguments.scenario)
         stated = load_scenario.from_table(table | {"expect": {}}, str(path), **overrides)
@@ -252,14 +254,6 @@ def _check_junit(path: Path) -> None:
     for problem, is_so in problems.items():
         if is_so:
             raise InputError(f"{path}: --junit: {problem}")
-
-
-def _is_changed_shipped(arguments: argparse.Namespace, loaded: Loaded) -> bool:
-    """Return whether a shipped scenario was called by its name, with other values."""
-    from sil.simulation import load_scenario
-
-    is_shipped = loaded.source == str(load_scenario.shipped().get(arguments.scenario))
-    return is_shipped and bool(arguments.settings or arguments.model or arguments.effects)
 
 
 def _changed_by(arguments: argparse.Namespace) -> str:

@@ -308,15 +308,12 @@ def _nothing_named_explains(one: Conclusion, limits: Thresholds) -> bool:
     return one.unnamed >= 0.5 and surest < limits.min_named_probability
 
 
-def _a_cause_is_in_doubt(one: Conclusion, limits: Thresholds) -> bool:
-    return one.has_rivals or min(one.claimed.values()) < limits.min_named_probability
-
-
 RULES: tuple[tuple[Callable[[Conclusion, Thresholds], bool], str], ...] = (
     (lambda one, limits: bool(one.undecidable), "cannot_tell"),
     (_nothing_named_explains, UNNAMED),
     (lambda one, limits: not one.claimed, "consistent"),
-    (_a_cause_is_in_doubt, "ambiguous"),
+    (lambda one, limits: one.has_rivals, "ambiguous"),
+    (lambda one, limits: min(one.claimed.values()) < limits.min_named_probability, "ambiguous"),
     (lambda one, limits: True, "named"),
 )
 """The verdict is that of the first rule that holds."""

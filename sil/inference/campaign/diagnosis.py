@@ -163,13 +163,14 @@ def diagnose(
     if unable:
         verdict = replace(verdict, kind=kind_of(Conclusion({}, undecidable=unable)))
         findings.insert(0, Finding(campaign.name, "all", unable))
+    first_variants = {item.id: item for item in reversed(search.candidates)}.values()
     following = next_experiment(
         model,
         parameters,
         campaign,
         verdict,
         judged,
-        _one_form_each(search.candidates) if plan or unable else [],
+        list(first_variants)[::-1] if plan or unable else [],
         confirm=plan,
         workers=workers,
     )
@@ -226,11 +227,6 @@ def _unable(sizes: Sequence[DetectableSize], search: Search) -> str:
             "strokes, gauges, a higher sampling rate or less noise would help"
         )
     return ""
-
-
-def _one_form_each(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the first variant of each cause."""
-    return list({item.id: item for item in reversed(candidates)}.values())[::-1]
 
 
 def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:

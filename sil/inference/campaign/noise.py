@@ -81,7 +81,8 @@ def estimated_noise(
             smooth = np.abs(np.diff(predicted, ORDER)) < 0.5 * nominal[channel.kind].sd
             moved = np.diff(channel.measured - predicted, ORDER)[smooth]
             differences.setdefault(channel.name, []).append(np.abs(moved))
-            step = _least_step(record[channel.name])
+            column = record[channel.name]
+            step = float(np.diff(np.unique(column)).min()) if rounding_of(column) > 0.0 else 0.0
             steps[channel.name] = min(step, steps.get(channel.name, step))
     pooled = {name: np.concatenate(parts) for name, parts in differences.items()}
     noise = {}
@@ -95,11 +96,6 @@ def estimated_noise(
         if best is not usual:
             noise[name] = best
     return noise
-
-
-def _least_step(values: Floats) -> float:
-    distinct = np.unique(values)
-    return float(np.diff(distinct).min()) if rounding_of(values) > 0.0 else 0.0
 
 
 def _agree(one: Noise, other: Noise, share: float) -> bool:

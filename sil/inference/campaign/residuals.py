@@ -5,7 +5,6 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,11 +37,6 @@ def relative_errors(model: CampaignModel, fit: FitResult) -> dict[str, Relative]
     }
 
 
-def _rms(parts: Sequence[Floats]) -> float:
-    values = np.concatenate(parts)
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-
-
 def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
     parts: dict[str, list[Floats]] = {}
     for k, block in fit.blocks.items():
@@ -52,7 +46,8 @@ def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
         if stroke.internal is not None:
             part = block.residual[stroke.size :] * stroke.internal.sd_m
             parts.setdefault("position_internal_m", []).append(part)
-    return {name: _rms(residuals) for name, residuals in parts.items()}
+    columns = {name: np.concatenate(residuals) for name, residuals in parts.items()}
+    return {name: float(np.sqrt(np.mean(r**2))) if len(r) else 0.0 for name, r in columns.items()}
 
 
 def gain_between(model: CampaignModel, verdict: Verdict[Judged], held_out: tuple[int, ...]) -> Gain:

@@ -32,13 +32,14 @@ def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
                 where = f"the first at sample {first + rows[0] + 1}"
                 findings.append(f"{file}: {name}: {counted(len(rows), what)}, {where}")
         if name == "position":
-            what, (start, length) = name, _held(values, signals[1])
+            what, run = name, _held(values, signals[1])
         else:
-            what, (start, length) = f"driving {name}", _stuck(values, signals[0])
-        if length:
+            what, travel = f"driving {name}", 0.05 * np.ptp(signals[0])
+            run = next((k for k in _runs(values) if np.ptp(signals[0][k]) > travel), None)
+        if run is not None:
             findings.append(
-                f"{file}: the {what} keeps one value over {length} samples in motion from "
-                f"sample {first + start + 1} on: stuck or saturated"
+                f"{file}: the {what} keeps one value over {run.stop - run.start} samples in motion from "
+                f"sample {first + run.start + 1} on: stuck or saturated"
             )
     return findings
 
@@ -108,26 +109,18 @@ def _runs(values: Floats) -> Iterator[slice]:
         yield slice(int(edges[k]), int(edges[k + 1]))
 
 
-def _stuck(values: Floats, position: Floats) -> tuple[int, int]:
-    """Return first sample and length of a run of one value in motion, (0, 0) if none is unusual."""
-    for run in _runs(values):
-        if np.ptp(position[run]) > 0.05 * np.ptp(position):
-            return run.start, run.stop - run.start
-    return 0, 0
+def _held(position: Floats, force: Floats) -> slice | None:
+    """Return a run of one position under forces that move the body, None if there is none.
 
-
-def _held(position: Floats, force: Floats) -> tuple[int, int]:
-    """Return first sample and length of a run of one position under forces that move the body.
-
-    (0, 0) if there is none. At the ends of the travel a stop can hold it.
+    At the ends of the travel a stop can hold it.
     """
     low, high = np.min(position), np.max(position)
     moving = _moves(position)
     if not moving.any():
-        return 0, 0
+        return None
     strong = np.abs(force) > np.median(np.abs(force[moving]))
     for run in _runs(position):
         inside = 0.02 < (position[run.start] - low) / (high - low) < 0.98
         if inside and np.mean(strong[run]) > 0.25:
-            return run.start, run.stop - run.start
-    return 0, 0
+            return run
+    return None

@@ -97,11 +97,8 @@ class ForceFit(Explanation):
     @cached_property
     def whole(self) -> Misfit:
         """Misfit against noise and the scatter between strokes."""
-        rms = self.over_noise
-        band = max(
-            LIMITS.max_residual_ratio,
-            min(3.0, LIMITS.max_residual_ratio * self.expected_n / self.noise_n),
-        )
+        rms, explained = self.over_noise, LIMITS.max_residual_ratio
+        band = max(explained, min(3.0, explained * self.expected_n / self.noise_n))
         channel = ChannelMisfit(rms, round(self.count), band)
         excess = self.count * (rms**2 - 1.0)
         return Misfit({"force_n": channel}, excess, self.count * (band**2 - 1.0), round(self.count))
@@ -140,12 +137,8 @@ def gain_in_errors(item: ForceFit, other: ForceFit) -> float:
     """
     gains = other.squares - item.squares
     shares = gains / (np.maximum(other.squares, item.squares) + 1e-300)
-    return max(
-        float(
-            differences.sum() / (np.std(differences, ddof=1) * np.sqrt(len(differences)) + 1e-300)
-        )
-        for differences in (gains, shares)
-    )
+    root = len(gains) ** 0.5
+    return max(float(d.sum() / (np.std(d, ddof=1) * root + 1e-300)) for d in (gains, shares))
 
 
 class Bank:
@@ -167,8 +160,7 @@ class Bank:
         self.groups: list[TermGroup] = []
         self._columns: list[Floats] = []
         self.body = self._add_body(raw, stated is None)
-        base = np.column_stack(self._columns)
-        self._base = np.linalg.qr(base)[0]
+        self._base = np.linalg.qr(np.column_stack(self._columns))[0]
         for name, term in terms().items():
             self._add_term(name, term, raw)
         snap = record.filtered(raw.position_m, 4)[rows]
