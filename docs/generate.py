@@ -181,7 +181,8 @@ def campaign_keys() -> Iterator[str]:
         "",
     )
     yield from (
-        f"- `{name}`: {', '.join(f'`{unit}`' for unit in units)}" for name, units in COLUMN_UNITS.items()
+        f"- `{name}`: {', '.join(f'`{unit}`' for unit in units)}"
+        for name, units in COLUMN_UNITS.items()
     )
 
 
