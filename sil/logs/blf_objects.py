@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from enum import IntEnum
 from typing import Final
 
+from can_dbc.frame import MAX_ID
 from sil.logs.frame import (
-    MAX_EXTENDED_ID,
     MAX_STANDARD_ID,
     MAX_TIME_NS,
     LogFrame,
@@ -126,12 +126,12 @@ def run_of_plain(data: bytes, pos: int, start_ns: int) -> Iterator[LogFrame]:
         if fields[:5] not in _PLAIN_HEADERS or fields[5] != 2:
             return
         ticks, channel, flags, dlc, word, payload = fields[6:]
-        extended = word > MAX_EXTENDED_ID
+        extended = word > MAX_ID
         if flags > 1 or dlc > 8 or (not extended and word > MAX_STANDARD_ID):
             return
         if (extended and word >> 29 != 4) or start_ns + ticks > MAX_TIME_NS:
             return
-        way, can_id = "Tx" if flags else "Rx", word & MAX_EXTENDED_ID
+        way, can_id = "Tx" if flags else "Rx", word & MAX_ID
         yield ordinary_frame(start_ns + ticks, can_id, payload[:dlc], extended, str(channel), way)
 
 
@@ -190,7 +190,7 @@ def _built(
     fd_flags: int = 0,
 ) -> LogFrame:
     """Return a frame; fd_flags: 1 CAN FD, 2 bit rate switch, 4 error state."""
-    fd, can_id = bool(fd_flags & 1), word & MAX_EXTENDED_ID
+    fd, can_id = bool(fd_flags & 1), word & MAX_ID
     return LogFrame(
         time_ns,
         can_id,

@@ -15,8 +15,9 @@ from itertools import accumulate, chain, pairwise, repeat
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
+from can_dbc.frame import MAX_ID
 from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
-from sil.logs.frame import MAX_EXTENDED_ID, MAX_TIME_NS, LogFrame
+from sil.logs.frame import MAX_TIME_NS, LogFrame
 from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_S, enough_decimals, format_ns, parse_decimal_ns, utc_ns
 from sil.logs.writer import TextWriter
@@ -101,7 +102,7 @@ def _identifier(digits: str) -> tuple[int, bool, bool]:
     if len(digits) not in (3, 8):
         raise ValueError(f"identifier {digits} has {len(digits)} digits; candump writes 3 or 8")
     number = int(digits, 16)
-    if number & ~_ERROR_FLAG > MAX_EXTENDED_ID:
+    if number & ~_ERROR_FLAG > MAX_ID:
         raise ValueError(f"identifier {digits}; expected at most 1FFFFFFF")
     error = bool(number & _ERROR_FLAG)
     return number & ~_ERROR_FLAG, len(digits) == 8 and not error, error

@@ -9,6 +9,7 @@ from operator import not_
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
+from can_dbc.frame import MAX_ID
 
 DLC_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Bytes of data by CAN FD data length code (ISO 11898-1)."""
@@ -20,7 +21,6 @@ LENGTH_DLC: Final = tuple(
 """Smallest CAN FD data length code that holds so many bytes."""
 
 MAX_STANDARD_ID: Final = 0x7FF
-MAX_EXTENDED_ID: Final = 0x1FFFFFFF
 MAX_TIME_NS: Final = 2**63 - 1
 
 _DIRECTIONS: Final = frozenset(("", "Rx", "Tx"))
@@ -74,7 +74,7 @@ def all_ordinary(frames: Sequence[LogFrame], channels: Set[str]) -> bool:
     )
     if any(remote) or any(error) or any(fd) or any(raw):
         return False
-    if min(ids) < 0 or max(ids) > MAX_EXTENDED_ID or max(map(len, data)) > 8:
+    if min(ids) < 0 or max(ids) > MAX_ID or max(map(len, data)) > 8:
         return False
     if not all(extended) and max(compress(ids, map(not_, extended))) > MAX_STANDARD_ID:
         return False
@@ -90,7 +90,7 @@ def frame_problem(frame: LogFrame) -> str | None:
     """Return what makes a frame impossible on any CAN bus, or None when nothing does."""
     length = len(frame.data)
     problem: str | None = None
-    if not 0 <= frame.can_id <= MAX_EXTENDED_ID:
+    if not 0 <= frame.can_id <= MAX_ID:
         problem = f"identifier {frame.can_id:#x} has more than 29 bits"
     elif not (frame.extended or frame.error) and frame.can_id > MAX_STANDARD_ID:
         problem = f"standard identifier {frame.can_id:#x} has more than 11 bits"

@@ -15,11 +15,11 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from can_dbc.errors import InputError
+from can_dbc.frame import MAX_ID
 from sil.files.extras import import_extra
 from sil.logs.format import Batch, Format, time_base
 from sil.logs.frame import (
     DLC_LENGTHS,
-    MAX_EXTENDED_ID,
     MAX_STANDARD_ID,
     MAX_TIME_NS,
     LogFrame,
@@ -252,7 +252,7 @@ def _frames(
     times_ns += np.rint((times_s - seconds) * 1e9).astype(np.int64)
     error, remote = kind == "CAN_ErrorFrame", kind == "CAN_RemoteFrame"
     code, word, fd = numbers("DLC") & 15, numbers("ID"), numbers("EDL") != 0
-    can_id = word & MAX_EXTENDED_ID
+    can_id = word & MAX_ID
     extended = (word >> 31 != 0) | (can_id > MAX_STANDARD_ID)
     if "IDE" in columns:
         extended = numbers("IDE") != 0

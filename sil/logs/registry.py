@@ -14,10 +14,10 @@ from sil.logs.report import LogReport
 from sil.logs.source import STANDARD_INPUT, ByteSource, copy_of_stream
 from sil.logs.writer import LogWriter
 
-_MODULES: Final = (blf, mf4, trc, asc, csv_log, candump)
+FORMATS: Final[dict[str, Format]] = {
+    module.FORMAT.name: module.FORMAT for module in (blf, mf4, trc, asc, csv_log, candump)
+}
 """In the order in which they are asked whether a file is theirs: the surest mark first."""
-
-FORMATS: Final[dict[str, Format]] = {module.FORMAT.name: module.FORMAT for module in _MODULES}
 
 _SAVVYCAN: Final = "SavvyCAN (open it, then save it as GVRET CSV)"
 _FOREIGN: Final = (

@@ -5,13 +5,12 @@ arrives as before. The air is not saved: the shipped blow after the confirmation
 """
 
 from controller.config import FirmwareConfig
-from controller.firmware import Firmware as ShippedFirmware
-from controller.firmware import Inputs, Outputs
+from controller.firmware import Firmware, Inputs, Outputs
 
 PUSH_NS = 30_000_000
 
 
-class Firmware(ShippedFirmware):
+class ShortPush(Firmware):
     """The shipped firmware with a limit on how long a valve is driven."""
 
     def __init__(self, config: FirmwareConfig) -> None:
