@@ -57,7 +57,7 @@ def shift(setup: Setup, name: str, amount: float) -> None:
     elif name == "fall":
         shift_fall(setup, amount)
     elif name == "wall_density":
-        setup.p.wall_density += amount
+        setup.p.wall_density = max(0.0, setup.p.wall_density + amount)
     elif name in LIMITED:
         index, low, high = LIMITED[name]
         share = (setup.p[index] - low) / (high - low)

@@ -64,7 +64,7 @@ PACKED = dict(zip(USUAL, ("valve_b", "wall_heat", "wall_density", "air_kappa"), 
 RANGES = {
     "valve_b": (0.0, 0.9),
     "wall_heat": (0.0, 1e6),
-    "wall_density": (-2.0, 2.0),
+    "wall_density": (0.0, 2.0),
     "kappa": (1.0, 1.7),
 }
 CHOKED = 0.6847314563772704
