@@ -37,7 +37,7 @@ from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import true_runs
 from sil.rules import inputs
-from sil.rules.reports import SENDER, falsely_reported, sent
+from sil.rules.reports import SENDER, accepted_status, falsely_reported, sent
 from sil.rules.rule import Broken, Circumstances, Rule
 
 PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
@@ -79,10 +79,14 @@ def _orphan_coil(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 def _false_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No gear is reported that the stay is not in, longer than a motion takes to be observed."""
-    time_s = record.truth["time_s"]
+    control, time_s = circumstances.control, record.truth["time_s"]
     longest_s = circumstances.sight_s + circumstances.repeated_s
-    for begin, end in true_runs(falsely_reported(record, circumstances.control.windows)):
-        lasted_s = float(time_s[end - 1] - time_s[begin])
+    # the firmware answers for its reports, not for how long the last one is believed
+    stands_s = 1.5 * control.period_s * circumstances.slow_clock
+    arrivals_s = np.array([entry.arrival_ns for entry, _ in accepted_status(record)]) / NS_PER_S
+    for begin, end in true_runs(falsely_reported(record, control.windows)):
+        last_s = arrivals_s[np.searchsorted(arrivals_s, time_s[end - 1], side="right") - 1]
+        lasted_s = float(min(time_s[end - 1], last_s + stands_s) - time_s[begin])
         if lasted_s > longest_s:
             what = f"a gear that the stay is not in is reported for {1e3 * lasted_s:.0f} ms; a motion shows within {1e3 * longest_s:.0f} ms"
             return float(time_s[begin]), what

@@ -172,3 +172,20 @@ def test_a_jump_within_a_window_may_overshoot_its_edge() -> None:
     record = run_in_memory(loaded).record
     assert Gear.UNKNOWN in [m.confirmed for t, m in sent(record, ControllerStatus) if t > 0.8]
     assert violations(record, circumstances(loaded.scenario), RULES) == []
+
+
+def test_a_controller_that_is_cut_off_does_not_answer_for_its_last_report() -> None:
+    table = {
+        "name": "cut off",
+        "duration_s": 0.7,
+        "initial_gear": "backward",
+        "request": [],
+        "plant": {"mounted": True, "pull_force_n": 528.0, "supply_pressure_pa": 505000.0},
+        "fault": [{"kind": "bus_off", "start_s": 0.65, "node": "controller"}],
+        "valve_fault": [{"kind": "wrong", "start_s": 0.59, "valve": "F"}],
+    }
+    loaded = from_table(table, "test")
+    record = run_in_memory(loaded).record
+    given = circumstances(loaded.scenario)
+    assert safety.false_gear_s(record, loaded.scenario) > given.sight_s
+    assert violations(record, given, RULES) == []
