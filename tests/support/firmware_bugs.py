@@ -79,7 +79,7 @@ def mutants(count: int = 10, seed: int = MUTANT_SEED) -> dict[str, Bug]:
     places = list(_places(text))
     drawn = random.Random(seed).sample(places, count)
     return {
-        f"mutant {k + 1}: {text.count(chr(10), 0, start) + 1}: {text[start:end].strip()} -> {other.strip() or 'nothing'}": Bug(
+        f"mutant {k + 1}: {text.count(chr(10), 0, start) + 1}: {text[start:end].strip()} -> {other}": Bug(
             "shift.h", text, text[:start] + other + text[end:]
         )
         for k, (start, end, other) in enumerate(drawn)
@@ -97,7 +97,7 @@ def _places(text: str) -> Iterator[tuple[int, int, str]]:
         for change in (-1, 1):
             yield begin + found.start(), begin + found.end(), str(int(found[0]) + change)
     for found in re.finditer(r"\n +machine\.\w+( = machine\.\w+)* \+?= [^;]+;", text[begin:]):
-        yield begin + found.start(), begin + found.end(), ""
+        yield begin + found.start(), begin + found.end(), ";"
     for found in re.finditer(r"\n +(?:\} else )?if \((.+)\)(?: \{)?\n", text[begin:]):
         yield begin + found.start(1), begin + found.end(1), f"!({found[1]})"
 
