@@ -116,7 +116,7 @@ INCOMPRESSIBLE, COMPRESSIBLE = 1, 2
 
 TERM_NODES = 24
 MOST_ADDED = 3
-ADDED_VALUES = 40
+ADDED_VALUES = MOST_ADDED * TERM_NODES
 """How many terms effects may add to the equations of one stroke, and values of all together."""
 
 
