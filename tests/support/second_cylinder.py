@@ -247,7 +247,7 @@ def write_sheet(unit: Unit, path: Path, rng: np.random.Generator, error: float) 
     }  # fmt: skip
     lines = ["[base]", 'model = "nominal"', "[cylinder]"]
     lines += [
-        f'{name} = {{ value = {value:.6g}, unit = "{unit_}", source = "data sheet" }}'
+        f'{name} = {{ value = {float(value)!r}, unit = "{unit_}", source = "data sheet" }}'
         for name, (value, unit_) in rows.items()
     ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
