@@ -47,7 +47,7 @@ NORMAL = NormalDist()
 
 
 def shift(setup: Setup, name: str, amount: float) -> None:
-    """Change one quantity of a setup: times exp(amount), or by seconds for "rise" and "fall".
+    """Change one quantity of a setup: times exp(amount), by seconds for "rise" and "fall", by itself for "wall_density".
 
     Relative amounts add up in logarithms, as those of effects that scale the same do. What is `LIMITED`
     moves by standard deviations of a normal distribution that the limits map to its tails.

@@ -44,6 +44,7 @@ _FD = re.compile(
     r"([A-Za-z_]\S*)\s+)?([01])\s+([01])\s+([0-9A-F]|1[0-5])\s+(\d{1,2})(?:\s+(.*))?\Z",
     re.IGNORECASE,
 )
+_TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 _HEX_WORD = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
 _OTHER_EVENTS: Final = {
     r"start of measurement": "",
@@ -209,7 +210,7 @@ class AscReader(TextReader):
         text = line.text.strip()
         if not text:
             return None
-        timed = re.match(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z", text)
+        timed = _TIMED.match(text)
         if timed is None:
             self._header(text, line.number)
             return None

@@ -41,6 +41,8 @@ _TRUCKDEVIL = re.compile(
     r"([0-9A-F]{8})\s+([0-9A-F]{2}) ([0-9A-F]{4}) ([0-9A-F]{2}) --> ([0-9A-F]{2}) "
     r"\[(\d{4})\] ([0-9A-F]*)\Z"
 )
+_TIME = re.compile(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+")
+_DATA = re.compile(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
 
 
@@ -69,7 +71,7 @@ def parse_line(text: str) -> Parsed:
         raise NotAFrame("error frame explanation line")
     if dropped := _DROPPED.match(line):
         raise NotAFrame("frame dropped by the recorder", int(dropped[1][:9]))
-    timed = re.match(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+", line)
+    timed = _TIME.match(line)
     time_ns = 0
     if timed:
         time_ns = _time(timed[1])
@@ -120,7 +122,7 @@ def _compact(match: re.Match[str]) -> tuple[LogFrame, bool]:
         flags = extended, True, error, False, False, False
         frame = LogFrame(0, can_id, b"", *flags, channel, direction, code)
         return frame, bool(direction or remote[2])
-    data = re.fullmatch(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?", body)
+    data = _DATA.match(body)
     if data is None:
         raise ValueError(f"data {body[:24]!r} is not pairs of hex digits")
     payload = bytes.fromhex(data[2].replace(".", ""))

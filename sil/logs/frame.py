@@ -23,6 +23,7 @@ LENGTH_DLC: Final = tuple(
 MAX_STANDARD_ID: Final = 0x7FF
 MAX_TIME_NS: Final = 2**63 - 1
 
+_CHANNEL = re.compile(r"[!-~]{0,64}\Z")
 _DIRECTIONS: Final = frozenset(("", "Rx", "Tx"))
 
 
@@ -106,7 +107,7 @@ def frame_problem(frame: LogFrame) -> str | None:
         problem = f"data length code {frame.raw_dlc}"
     elif frame.direction not in _DIRECTIONS:
         problem = f"direction {frame.direction!r}"
-    elif not re.fullmatch(r"[!-~]{0,64}", frame.channel):
+    elif not _CHANNEL.match(frame.channel):
         problem = f"channel name {frame.channel[:70]!r} is not 0 to 64 visible ASCII characters"
     elif frame.raw_dlc and not frame.remote and (frame.fd or length != 8 or frame.raw_dlc < 9):
         problem = f"raw length code {frame.raw_dlc} with {length} bytes"
