@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import time
 from functools import partial
@@ -52,11 +53,12 @@ def run(arguments: argparse.Namespace) -> int:
     hunt = Hunt(base, arguments.seed, rules)
     folder = _folder(hunt, arguments)
     runner = partial(in_turn, workers=arguments.workers, cluster=arguments.cluster)
-    until_s = None if arguments.hours is None else time.monotonic() + 3600.0 * arguments.hours
+    most_runs = math.inf if arguments.runs is None else arguments.runs
+    until_s = time.monotonic() + 3600.0 * (arguments.hours or math.inf)
     begun_s = time.monotonic()
     with Progress("swarm", "runs" if arguments.hours is None else "s") as progress:
         progress(0.0, 1.0)
-        for generation in hunt.run(runner, arguments.runs, until_s):
+        for generation in hunt.run(runner, most_runs, until_s):
             _store(folder, generation)
             if arguments.hours is None:
                 runs = sum(each.runs for each in hunt.generations)

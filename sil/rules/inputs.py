@@ -80,9 +80,8 @@ def _each_step(
     ]
     begins = [round(f.released_ns - computation_ns) for f in record.frames_of(STATUS_ID)]
     start_ns = min(begins[:1] + [frame.arrival_ns for frame in frames[:1]], default=0)
-    channel = Receiver(
-        kind, E2eConfig(timeout_ns), max(start_ns, 0)
-    )  # counts from the firmware's first step
+    # counts from the firmware's first step
+    channel = Receiver(kind, E2eConfig(timeout_ns), max(start_ns, 0))
     # the record may be a piece of a run: until frames have followed each other
     valid_s = _begin_s(record) + 0.05
     taken = 0
@@ -116,10 +115,10 @@ def blind_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
         blind_s = step.at_s - step.valid_s
         if step.status.confirmed != Gear.UNKNOWN and blind_s > _grace_s(circumstances):
             gear = step.status.confirmed.name.lower()
-            what = (
-                f"{gear} is confirmed {1e3 * blind_s:.0f} ms after the last valid position sample"
+            return (
+                step.at_s,
+                f"{gear} is confirmed {1e3 * blind_s:.0f} ms after the last valid sample",
             )
-            return step.at_s, what
     return None
 
 
@@ -128,11 +127,10 @@ def unrequested_push(record: RunRecord, circumstances: Circumstances) -> Broken:
     before: _Step | None = None
     for step in _steps(record, circumstances, ShiftRequest):
         rested = before is not None and before.status.state is ShiftState.IDLE
-        if rested and step.status.state is ShiftState.PUSH:
-            deaf_s = step.at_s - step.valid_s
-            if deaf_s > _grace_s(circumstances):
-                what = f"a push begins {1e3 * deaf_s:.0f} ms after the last valid request"
-                return step.at_s, what
+        deaf_s = step.at_s - step.valid_s
+        pushes = rested and step.status.state is ShiftState.PUSH
+        if pushes and deaf_s > _grace_s(circumstances):
+            return step.at_s, f"a push begins {1e3 * deaf_s:.0f} ms after the last valid request"
         before = step
     return None
 
@@ -168,10 +166,8 @@ def missed_loss(record: RunRecord, circumstances: Circumstances) -> Broken:
             begin_s = min(begin_s, step.at_s)
             deaf_s = step.at_s - max(step.valid_s, begin_s + startup_s)
             if deaf_s > grace_s and fault not in step.status.faults:
-                what = (
-                    f"{fault.name} is not reported {1e3 * deaf_s:.0f} ms after the last valid frame"
-                )
-                return step.at_s, what
+                what = f"is not reported {1e3 * deaf_s:.0f} ms after the last valid frame"
+                return step.at_s, f"{fault.name} {what}"
     return None
 
 
@@ -258,9 +254,8 @@ def false_position(record: RunRecord, circumstances: Circumstances) -> Broken:
         elif step.valid_s < at_s or afresh_s == math.inf:
             afresh_s = at_s if step.valid_s >= at_s and step.arrived else math.inf
         unseen = status.faults & UNSEEN or status.state is ShiftState.INIT
-        latched = (
-            status.state in (ShiftState.FAULT, ShiftState.INIT) and not circumstances.disturbed
-        )
+        latched = status.state in (ShiftState.FAULT, ShiftState.INIT)
+        latched = latched and not circumstances.disturbed
         if unseen and not (latched and status.faults & UNSEEN in (0, Fault.POSITION_LOST)):
             continue
         since_s = max(at_s - back_s, afresh_s - circumstances.sight_s)
@@ -268,9 +263,7 @@ def false_position(record: RunRecord, circumstances: Circumstances) -> Broken:
         if since_s < time_s[0] or high <= low:
             continue
         past_m = position_m[low:high]
-        away_m = max(
-            float(past_m.min()) - status.estimate_m, status.estimate_m - float(past_m.max())
-        )
+        away_m = float(max(past_m.min() - status.estimate_m, status.estimate_m - past_m.max()))
         overshoot_m = 0.2 * float(np.ptp(past_m))
         if away_m > 0.0015 + overshoot_m:
             what = f"the position is reported {1e3 * away_m:.1f} mm from anywhere that the stay was within {1e3 * (at_s - since_s):.0f} ms"

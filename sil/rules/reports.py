@@ -22,22 +22,16 @@ SENDER = "controller"
 REPORT_HOLDS_S = 0.05
 """A status frame is valid for this long."""
 
-Reports = list[tuple[BusFrame, ControllerStatus | None]]
-
-
-def accepted_status(record: RunRecord) -> Reports:
-    """Return the status frames that pass end-to-end protection; None where it turns invalid."""
-    return _accepted(record, ControllerStatus)
-
 
 def sent(record: RunRecord, kind: Any) -> Iterator[tuple[float, Any]]:
     """Yield the controller's messages that pass end-to-end protection, with the time in s of sending."""
-    for entry, message in _accepted(record, kind):
+    for entry, message in accepted(record, kind):
         if message is not None and entry.sender == SENDER:
             yield entry.released_ns / NS_PER_S, message
 
 
-def _accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
+def accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
+    """Return the frames that pass end-to-end protection; None as message where it turns invalid."""
     if kind in record.derived:
         return cast("list[tuple[BusFrame, Any]]", record.derived[kind])
     receiver = Receiver(kind, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
@@ -58,7 +52,7 @@ def falsely_reported(record: RunRecord, windows: WindowConfig) -> NDArray[np.boo
     A report counts from its arrival to the next one's, at most REPORT_HOLDS_S. The limit is twice
     the window's width, because the sensor's tick, noise and temperature shift the firmware's window.
     """
-    status = accepted_status(record)
+    status = accepted(record, ControllerStatus)
     time_s, position_m = record.truth["time_s"], record.truth["position_m"]
     goals_m = {Gear.NEUTRAL: 0.0, Gear.BACKWARD: record.stroke_m, Gear.FORWARD: -record.stroke_m}
     wrong = np.zeros(len(time_s), dtype=np.bool_)

@@ -37,7 +37,7 @@ from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import true_runs
 from sil.rules import inputs
-from sil.rules.reports import SENDER, accepted_status, falsely_reported, sent
+from sil.rules.reports import SENDER, accepted, falsely_reported, sent
 from sil.rules.rule import Broken, Circumstances, Rule
 
 PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
@@ -83,7 +83,9 @@ def _false_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     longest_s = circumstances.sight_s + circumstances.repeated_s
     # the firmware answers for its reports, not for how long the last one is believed
     stands_s = 1.5 * control.period_s * circumstances.slow_clock
-    arrivals_s = np.array([entry.arrival_ns for entry, _ in accepted_status(record)]) / NS_PER_S
+    arrivals_s = (
+        np.array([entry.arrival_ns for entry, _ in accepted(record, ControllerStatus)]) / NS_PER_S
+    )
     for begin, end in true_runs(falsely_reported(record, control.windows)):
         last_s = arrivals_s[np.searchsorted(arrivals_s, time_s[end - 1], side="right") - 1]
         lasted_s = float(min(time_s[end - 1], last_s + stands_s) - time_s[begin])
@@ -185,9 +187,7 @@ def _unanswered_request(record: RunRecord, circumstances: Circumstances) -> Brok
         first = bisect_right(times, at_s)
         before = status[first - 1][1] if first else None
         if earlier is not None and before is not None and not _is_answer(before, earlier):
-            before = (
-                None  # the step that takes this request may still begin the push of the earlier one
-            )
+            before = None  # the step that takes this request may begin the push of the earlier one
         earlier = request.target
         latest_s = at_s + _answer_s(circumstances, before, request.target)
         if latest_s > min(until_s, end_s):
@@ -238,8 +238,8 @@ def _too_many_attempts(record: RunRecord, circumstances: Circumstances) -> Broke
                 attempts += 1
             leg = target
             if attempts > most:
-                what = f"attempt {attempts} of a push begins; there are {most}"
-                return entry.released_ns / NS_PER_S, what
+                at_s = entry.released_ns / NS_PER_S
+                return at_s, f"attempt {attempts} of a push begins; there are {most}"
         pausing = status.state is ShiftState.VENT and (pausing or before in PUSHING)
         before = status.state
     return None
@@ -279,10 +279,8 @@ def _cut_short(record: RunRecord, circumstances: Circumstances) -> Broken:
         stage = ShiftState.BLOW if before in PUSHING else before  # one of no length
         ends = stage in STAGES[:-1] and status.state is STAGES[STAGES.index(stage) + 1]
         lasted_s = at_s - begun_s if stage is before else 0.0
-        if (
-            ends
-            and lasted_s < (set_s[STAGES.index(stage)] - tolerance_s) * circumstances.slow_clock
-        ):
+        least_s = set_s[STAGES.index(stage)] - tolerance_s if ends else -math.inf
+        if lasted_s < least_s * circumstances.slow_clock:
             since_s, gear = at_s - lasted_s - tolerance_s, status.confirmed
             if any(r.target == gear and t < since_s and at_s < u for t, r, u in requests):
                 name = stage.name.lower()
@@ -296,18 +294,18 @@ def _cut_short(record: RunRecord, circumstances: Circumstances) -> Broken:
 def _unnamed_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No fault state is reported without the fault that led to it."""
     unnamed = ~(Fault.REQUEST_LOST | Fault.SPEEDS_LOST | Fault.REQUEST_INVALID)
-    for at_s, status in sent(record, ControllerStatus):
-        if status.state is ShiftState.FAULT and not status.faults & unnamed:
-            return at_s, "the fault state is reported without a fault"
-    return None
+    states = (
+        (at_s, m) for at_s, m in sent(record, ControllerStatus) if m.state is ShiftState.FAULT
+    )
+    what = "the fault state is reported without a fault"
+    return next(((at_s, what) for at_s, m in states if not m.faults & unnamed), None)
 
 
 def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No error of the firmware itself is reported (INTERNAL)."""
-    for at_s, status in sent(record, ControllerStatus):
-        if Fault.INTERNAL in status.faults:
-            return at_s, "the firmware caught an error of its own"
-    return None
+    what = "the firmware caught an error of its own"
+    reports = sent(record, ControllerStatus)
+    return next(((at_s, what) for at_s, m in reports if Fault.INTERNAL in m.faults), None)
 
 
 def _sender_rules(record: RunRecord, circumstances: Circumstances) -> Broken:

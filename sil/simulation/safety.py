@@ -12,11 +12,12 @@ from operator import or_
 
 import numpy as np
 
-from can_dbc.messages import Fault, Gear
+from can_dbc.messages import ControllerStatus, Fault, Gear
+from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import longest_run
-from sil.rules.reports import REPORT_HOLDS_S, Reports, accepted_status, falsely_reported
+from sil.rules.reports import REPORT_HOLDS_S, accepted, falsely_reported
 from sil.rules.shipped import orphaned
 from sil.simulation.circumstances import circumstances
 from sil.simulation.metrics import gear_at
@@ -63,7 +64,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     truth = record.truth
     time_s, position = truth["time_s"], truth["position_m"]
     windows = scenario.controller.windows
-    status = accepted_status(record)
+    status = accepted(record, ControllerStatus)
     faults = [(e.arrival_ns / NS_PER_S, m.faults) for e, m in status if m is not None]
     before = reduce(or_, (bits for at, bits in faults if at < start), Fault.NONE)
     later = [(at, bits) for at, bits in faults if at >= start]
@@ -94,7 +95,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     }
 
 
-def _reported_at(status: Reports, at_s: float) -> float:
+def _reported_at(status: list[tuple[BusFrame, ControllerStatus | None]], at_s: float) -> float:
     """Return the gear reported by a valid status frame at an instant in s; NaN without one."""
     entry, message = status[-1] if status else (None, None)
     if entry is None or message is None or at_s - entry.arrival_ns / NS_PER_S > REPORT_HOLDS_S:

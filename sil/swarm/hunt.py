@@ -87,10 +87,9 @@ class Hunt:
         sources = [getattr(rule.first, "__code__", None) for rule in self._rules]
         files = [source.co_filename for source in sources if source]
         names = [rule.name for rule in self._rules]
-        tables = {"base": self._base, "rules": [names, files]}
-        inputs = input_digests(tables, (Path(),))
-        content = [self._seed, self._size, inputs]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        inputs = input_digests({"base": self._base, "rules": [names, files]}, (Path(),))
+        content = json.dumps([self._seed, self._size, inputs])
+        return hashlib.sha256(content.encode()).hexdigest()
 
     def table(self, generation: int, number: int) -> Table:
         """Return a scenario table of a generation."""
@@ -101,19 +100,14 @@ class Hunt:
         self._causes.update(failure.cause for failure in generation.failures)
         self.generations.append(generation)
 
-    def run(
-        self, runner: Runner, most_runs: int | None, until_s: float | None
-    ) -> Iterator[Generation]:
+    def run(self, runner: Runner, most_runs: float, until_s: float) -> Iterator[Generation]:
         """Run generations until a number of runs, or a time of `time.monotonic`, is over."""
         for number in count(len(self.generations)):
             runs = sum(generation.runs for generation in self.generations)
-            if most_runs is not None and runs >= most_runs:
+            if runs >= most_runs or time.monotonic() >= until_s:
                 return
-            if until_s is not None and time.monotonic() >= until_s:
-                return
-            generation = self._generation(runner, number)
-            self.add(generation)
-            yield generation
+            self.add(self._generation(runner, number))
+            yield self.generations[-1]
 
     def _generation(self, runner: Runner, number: int) -> Generation:
         begun = time.perf_counter()
@@ -122,47 +116,35 @@ class Hunt:
         transitions: Counter[str] = Counter()
         broken: Counter[str] = Counter()
         first: dict[str, int] = {}
-        refused = 0
-        for index, result in enumerate(runner(partial(attempt, rules=self._rules), tables)):
-            refused += bool(result.refused)
+        attempts = list(runner(partial(attempt, rules=self._rules), tables))
+        for index, result in enumerate(attempts):
             transitions.update(result.transitions)
             rules = [violation.rule for violation in result.violations]
             broken.update(rules)
             for best, names in ((shortest, result.transitions), (first, rules)):
                 for name in names:
                     best[name] = min(best.get(name, index), index, key=lambda k: size_of(tables[k]))
-        failures = [
-            failure
-            for rule, index in first.items()
-            if (failure := self._shrunk(rule, tables[index], f"{number}.{index}")).cause
-            not in self._causes
-        ]
+        shrunk = [self._shrunk(rule, tables[k], f"{number}.{k}") for rule, k in first.items()]
         return Generation(
             number=number,
             runs=len(tables),
-            refused=refused,
+            refused=sum(bool(result.refused) for result in attempts),
             wall_s=round(time.perf_counter() - begun, 3),
             transitions=dict(transitions),
             shortest=shortest,
-            failures=failures,
+            failures=[failure for failure in shrunk if failure.cause not in self._causes],
             broken=dict(broken),
         )
 
     def _shrunk(self, rule: str, table: Table, drawn: str) -> Failure:
-        def violation(candidate: Mapping[str, Any]) -> Violation | None:
-            broken = attempt(candidate, self._rules).violations
-            return next((each for each in broken if each.rule == rule), None)
+        def broken(candidate: Mapping[str, Any]) -> Violation | None:
+            violations = attempt(candidate, self._rules).violations
+            return next((each for each in violations if each.rule == rule), None)
 
-        def fails_at(candidate: Mapping[str, Any]) -> float | None:
-            broken = violation(candidate)
-            return None if broken is None else broken.time_s
-
-        smallest = shrink(table, fails_at)
-        broken = violation(smallest)
-        assert broken is not None
-        return Failure(
-            rule=rule, text=broken.text, time_s=broken.time_s, table=smallest, drawn=drawn
-        )
+        smallest = shrink(table, broken)
+        last = broken(smallest)
+        assert last is not None
+        return Failure(rule=rule, text=last.text, time_s=last.time_s, table=smallest, drawn=drawn)
 
 
 def size_of(table: Table) -> tuple[int, float]:
@@ -180,9 +162,8 @@ def stored_generations(folder: Path, digest: str) -> Iterable[Generation]:
     try:
         content = path.read_bytes()
     except OSError:
-        raise InputError(
-            f"{folder}: --resume: no {SWARM_FILE}; expected a swarm's folder"
-        ) from None
+        what = f"{folder}: --resume: no {SWARM_FILE}; expected a swarm's folder"
+        raise InputError(what) from None
     whole = content.rfind(b"\n") + 1
     if whole < len(content):
         os.truncate(path, whole)
@@ -193,6 +174,6 @@ def stored_generations(folder: Path, digest: str) -> Iterable[Generation]:
     except (msgspec.MsgspecError, ValueError, RecursionError):
         raise InputError(f"{path}: not the generations of a swarm; expected --force") from None
     if stored != digest:
-        what = "of another target, seed, set of rules or version"
-        raise InputError(f"{path}: a swarm {what}; expected the same, or --force")
+        other = "another target, seed, set of rules or version"
+        raise InputError(f"{path}: a swarm of {other}; expected the same, or --force")
     return generations

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from can_dbc.errors import RunError
 from controller.shift import TRANSITIONS
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
@@ -25,10 +27,14 @@ from sil.swarm.hunt import Failure, Hunt, size_of
 FAILURES, TAKEN = "failures", "transitions"
 
 
+def _empty(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+
+
 def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
     """Write a scenario file for each failure into failures/; return the failures by name of file."""
-    shutil.rmtree(folder / FAILURES, ignore_errors=True)
-    (folder / FAILURES).mkdir()
+    _empty(folder / FAILURES)
     failures: dict[str, Failure] = {}
     for failure in (each for generation in hunt.generations for each in generation.failures):
         number = 1 + sum(each.rule == failure.rule for each in failures.values())
@@ -44,15 +50,14 @@ def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
 def _write_transitions(hunt: Hunt, folder: Path) -> dict[str, int]:
     """Write the simplest scenario that takes each change of state; return how often each was taken."""
     simplest: dict[str, dict[str, Any]] = {}
-    taken: dict[str, int] = {}
+    taken: Counter[str] = Counter()
     for generation in hunt.generations:
-        for name, times in generation.transitions.items():
-            taken[name] = taken.get(name, 0) + times
+        taken.update(generation.transitions)
+        for name in generation.transitions:
             table = hunt.table(generation.number, generation.shortest[name])
             if name not in simplest or size_of(table) < size_of(simplest[name]):
                 simplest[name] = table
-    shutil.rmtree(folder / TAKEN, ignore_errors=True)
-    (folder / TAKEN).mkdir()
+    _empty(folder / TAKEN)
     for name, table in simplest.items():
         stem = name.replace(" -> ", "_")
         text = scenario_toml(from_table({**table, "name": stem}, stem).scenario)
@@ -89,8 +94,6 @@ def write_page(hunt: Hunt, failures: Mapping[str, Failure], folder: Path) -> dic
 
 def _picture(name: str, failure: Failure, folder: Path) -> Picture | None:
     """Return the picture of a failing run; None if it did not run to the end."""
-    from can_dbc.errors import RunError
-
     try:
         run = run_in_memory(from_table(failure.table, name))
     except RunError:

@@ -10,43 +10,39 @@ import copy
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from sil.rules import Violation
 from sil.simulation.scenario import FAULT_TABLES
 from sil.swarm.draw import Table
 
 ROW_LISTS = (*FAULT_TABLES, "request")
+Judge = Callable[[Mapping[str, Any]], Violation | None]
 
 
-def shrink(
-    table: Mapping[str, Any], fails_at: Callable[[Mapping[str, Any]], float | None], runs: int = 400
-) -> Table:
+def shrink(table: Mapping[str, Any], broken: Judge, runs: int = 400) -> Table:
     """Return a table with fewer faults and requests, shorter, and with rounder numbers.
 
-    fails_at: returns the instant in s at which a table breaks the rule, None if it does not.
-    Takes the first simpler table that still fails, until none does or `runs` are spent.
+    broken: returns where a table breaks the rule, None if it keeps it. Takes the first simpler table that still fails, until none does or `runs` are spent.
     """
     smallest = copy.deepcopy(dict(table))
     progressed = True
     while progressed:
         progressed = False
-        for simpler in _simpler(smallest, fails_at):
+        for simpler in _simpler(smallest, broken):
             runs -= 1
             if runs < 0:
                 return smallest
-            if simpler != smallest and fails_at(simpler) is not None:
+            if simpler != smallest and broken(simpler):
                 smallest, progressed = simpler, True
                 break
     return smallest
 
 
-def _simpler(
-    table: Table, fails_at: Callable[[Mapping[str, Any]], float | None]
-) -> Iterator[Table]:
+def _simpler(table: Table, broken: Judge) -> Iterator[Table]:
     """Yield simpler tables, those first that take most away."""
-    at_s = fails_at(table)
-    if at_s is not None:
-        end_s = round(at_s + 0.06, 1)
+    if violation := broken(table):
+        end_s = round(violation.time_s + 0.06, 1)
         last_s = max((request["at_s"] for request in table["request"]), default=0.0)
-        if max(at_s, last_s) < end_s < table["duration_s"]:
+        if max(violation.time_s, last_s) < end_s < table["duration_s"]:
             yield {**table, "duration_s": end_s}
     for name in ROW_LISTS:
         for index in range(len(table.get(name, ()))):

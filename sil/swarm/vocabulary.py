@@ -45,16 +45,13 @@ def vocabulary() -> dict[str, list[FaultKind]]:
     intruders: list[FaultKind] = []
     for fault in typing.get_args(BusFault):
         kind, hints = str(fault.__struct_config__.tag), typing.get_type_hints(fault)
-        if "node" in hints:
-            nodes += [
-                FaultKind("fault", kind, whom, fault) for whom in typing.get_args(hints["node"])
-            ]
-            continue
-        messages = typing.get_args(hints["message"]) if "message" in hints else ("",)
-        stated = [FaultKind("fault", kind, m, fault) for m in messages]
+        place = "node" if "node" in hints else "message"
+        whom = typing.get_args(hints[place]) if place in hints else ("",)
+        stated = [FaultKind("fault", kind, each, fault) for each in whom]
         if fault is FrozenCounter:  # frames without a counter are refused
             stated = [f for f in stated if f.whom in GUARDED]
-        (frames if "probability" in hints else intruders).extend(stated)
+        others = frames if "probability" in hints else intruders
+        (nodes if place == "node" else others).extend(stated)
     return {
         "frames": frames,
         "nodes": nodes,
@@ -100,6 +97,7 @@ PARAMETERS: dict[str, Draw] = {
     "factor": _between(1.0, 20.0),
 }
 """How the parameters of faults are drawn; a parameter that is not in here cannot be left out."""
+NEEDED = ("delay_s", "period_s", "can_id")
 
 
 def window(rng: random.Random, requests_s: Sequence[float]) -> dict[str, float]:
@@ -124,14 +122,10 @@ def state(table: dict[str, Any], fault: FaultKind, rng: random.Random) -> None:
         "kind": fault.kind,
         **window(rng, [request["at_s"] for request in table["request"]]),
     }
-    names = [f.name for f in msgspec.structs.fields(fault.type)]
-    needed = ("delay_s", "period_s", "can_id")
-    placed = ("kind", "message", "node", "valve", "start_s", "end_s")
-    for place in ("message", "node", "valve"):
-        if place in names:
-            stated[place] = fault.whom
-    for name in names:
-        if name not in placed and (name in needed or rng.random() < 0.5):
+    for name in (f.name for f in msgspec.structs.fields(fault.type)):
+        if name in ("message", "node", "valve"):
+            stated[name] = fault.whom
+        elif name not in stated and name != "end_s" and (name in NEEDED or rng.random() < 0.5):
             stated[name] = PARAMETERS[name](rng)
     if fault.kind == "replayed" and rng.random() < 0.5:  # when the counter has come round
         period_s = 0.02 if fault.whom == "ShiftRequest" else 0.01

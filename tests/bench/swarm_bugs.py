@@ -7,6 +7,7 @@ be the same: it is not made once more. Seconds are those of as many runs on one 
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import tempfile
 import time
@@ -22,7 +23,7 @@ from sil.firmware.contract import pack_step
 from sil.firmware.findings import FirmwareFailure
 from sil.firmware.load import SHIPPED_IN_C
 from sil.firmware.wasm import Instance, Module
-from sil.rules import violations
+from sil.rules import Violation, violations
 from sil.rules.shipped import RULES
 from sil.simulation.build import firmware_in_c
 from sil.simulation.circumstances import circumstances
@@ -132,7 +133,7 @@ def line(
     base = {"name": "swarm", "duration_s": 1.0, "request": [], "firmware": str(module)}
     trials = Trials(module, shipped, runs)
     try:
-        list(Hunt(base, SEED, RULES).run(trials, RUNS, None))
+        list(Hunt(base, SEED, RULES).run(trials, RUNS, math.inf))
     except Breaks:
         assert trials.failing is not None
         table, rule = trials.failing
@@ -146,11 +147,11 @@ def line(
 def smallest(table: dict[str, Any], rule: str) -> dict[str, Any]:
     """The shrunk table."""
 
-    def fails_at(candidate: Any) -> float | None:
-        broken = attempt(candidate, RULES).violations
-        return next((each.time_s for each in broken if each.rule == rule), None)
+    def broken(candidate: Any) -> Violation | None:
+        violations = attempt(candidate, RULES).violations
+        return next((each for each in violations if each.rule == rule), None)
 
-    return shrink(table, fails_at)
+    return shrink(table, broken)
 
 
 def size(table: dict[str, Any]) -> str:

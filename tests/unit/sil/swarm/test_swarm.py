@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import random
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from sil import cli
 from sil.cli.swarm import news
 from sil.files.worker import in_turn
 from sil.firmware.load import SHIPPED_IN_C
+from sil.rules import Violation
 from sil.rules.shipped import RULES
 from sil.rules.user_file import load_rules
 from sil.simulation.load_scenario import from_table
@@ -29,7 +31,7 @@ BASE: dict[str, Any] = {"name": "swarm", "duration_s": 1.0, "request": []}
 
 def hunted(workers: int, generations: int, hunt: Hunt | None = None) -> Hunt:
     hunt = hunt or Hunt(BASE, 3, RULES, size=8)
-    list(hunt.run(partial(in_turn, workers=workers), 8 * generations, None))
+    list(hunt.run(partial(in_turn, workers=workers), 8 * generations, math.inf))
     return hunt
 
 
@@ -80,12 +82,12 @@ def test_shrinking_leaves_what_is_needed() -> None:
         {"valve": "F", "kind": "stuck", "start_s": 0.2345, "end_s": 0.7},
     ]
 
-    def fails_at(candidate: Any) -> float | None:
+    def broken(candidate: Any) -> Violation | None:
         valves = [fault.get("valve") for fault in candidate.get("valve_fault", ())]
         gears = [request["gear"] for request in candidate["request"]]
-        return 0.5 if "F" in valves and "forward" in gears else None
+        return Violation("rule", 0.5, "") if "F" in valves and "forward" in gears else None
 
-    assert shrink(table, fails_at) == {
+    assert shrink(table, broken) == {
         "name": "swarm",
         "seed": 1,
         "duration_s": 0.6,
@@ -152,7 +154,7 @@ def test_a_cluster_interruptions_and_two_workers_make_no_difference(tmp_path: Pa
         runner = partial(in_turn, cluster=cluster.scheduler_address)
         spread = hunt()
         spread.add(whole.generations[0])
-        list(spread.run(runner, 16, None))
+        list(spread.run(runner, 16, math.inf))
     assert comparable(spread) == comparable(whole)
 
 
