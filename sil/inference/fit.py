@@ -344,11 +344,13 @@ class _Descent:
         its bound held there; with the scatter as it is if the hypothesis' own parameters move alone.
         """
         if own_only:
-            normal: Floats = self.layout.prior
+            normal: Floats = self.layout.prior.copy()
             gradient: Floats = -normal @ self.shared
+            within = np.ix_(moving, moving)
             for block in self.blocks.values():
-                normal = normal + self.weight * block.shared.T @ block.shared
-                gradient = gradient + self.weight * block.shared.T @ block.residual
+                columns = block.shared[:, moving]
+                normal[within] += self.weight * (columns.T @ columns)
+                gradient[moving] += self.weight * (columns.T @ block.residual)
             yield normal, gradient, {}, self.spread, 7
             return
         on = self.bounds_met(moving)

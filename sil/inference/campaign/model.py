@@ -239,8 +239,8 @@ class CampaignModel(Problem):
         steps: dict[str, float] = {}
         if not own_only and reuse is None:
             free = [j for j in range(tolerances) if j not in frozen]
-            rows = zip(self.unit, self.spread.root, strict=True)
-            needed = {*self.scatter, *(name for name, row in rows if row[free].any())}
+            by_name = zip(self.unit, self.spread.root, strict=True)
+            needed = {*self.scatter, *(name for name, row in by_name if row[free].any())}
             steps = {n: DIFFERENCE * self.spread.size(n) for n in self.simulated if n in needed}
         effect_parameters = [(item.effect, p) for item in candidates for p in item.parameters]
         delays: dict[str, tuple[str, float]] = {}
@@ -265,9 +265,9 @@ class CampaignModel(Problem):
         else:
             by_scatter = np.zeros((len(base), len(self.scatter)))
             if not own_only:
-                for name, row in zip(self.unit, self.spread.root, strict=True):
-                    if name in columns:
-                        by_shared[:, free] += columns[name][:, None] * row[free]
+                rows = [j for j, name in enumerate(self.unit) if name in columns]
+                by_unit = np.array([columns[self.unit[j]] for j in rows])
+                by_shared[:, free] = by_unit.T @ self.spread.root[np.ix_(rows, free)]
                 for j, name in enumerate(self.scatter):
                     by_scatter[:, j] = columns[name] * self.spread.stroke[name]
         by_shared[:, tolerances:healthy] = self.offset_columns[k]
