@@ -147,7 +147,8 @@ def initial_state(
     """State at rest [states] in SI units: fixed piston at a position [m], length stroke in gear N, B or F.
 
     p: of one stroke, or of several for states [strokes, states].  Chambers named in `charged` are at
-    the supply pressure, the others at the atmosphere's.
+    the supply pressure, the others at the atmosphere's. A piston measured to start beyond its stop
+    starts on it.
     """
     record = state_record(system)
     size = record.size
@@ -155,7 +156,7 @@ def initial_state(
     single = p.array.ndim == 1
     state = np.zeros(size + quadratures if single else (size + quadratures, len(p.array)))
     if system == FIXED:
-        state[0] = position
+        state[0] = np.clip(position, 0.0, p.stroke)
     elif position in ("B", "F"):
         stroke = np.minimum(p.stroke + p.stop_offset, p.x_free)
         state[LengthState.x_s] = stroke if position == "B" else -stroke

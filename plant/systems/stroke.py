@@ -75,6 +75,14 @@ class Stroke:
         return None
 
 
+def wrong_start(start_offset_m: float, stroke_m: float) -> str:
+    """Return what is wrong with where a fixed piston starts; nothing where a measurement may be off."""
+    slack_m = 0.02 * stroke_m
+    if -slack_m <= start_offset_m <= stroke_m + slack_m:
+        return ""
+    return f"start_offset_m {start_offset_m:g}: expected 0 to the model's stroke, {stroke_m:.5g}"
+
+
 class StrokeSystem(HybridSystem):
     """Either actuator, set up from a stroke's conditions at time 0."""
 
@@ -83,10 +91,8 @@ class StrokeSystem(HybridSystem):
         self.chambers = conditions.chambers
         system = conditions.system
         p = setup.p
-        if system == FIXED and not 0.0 <= conditions.start_offset_m <= p.stroke:
-            raise InputError(
-                f"start offset {conditions.start_offset_m} m: expected 0 to {p.stroke}"
-            )
+        if system == FIXED and (why := wrong_start(conditions.start_offset_m, p.stroke)):
+            raise InputError(why)
         refuse_empty(
             system, p, ends_of_travel(system, p, (conditions.kind[0], conditions.kind[-1]))
         )

@@ -97,10 +97,20 @@ def test_spring_holds_the_fixed_piston_back() -> None:
     assert simulate(NOMINAL, spring, TIME_S).impact is None
 
 
-@pytest.mark.parametrize("offset", [-1e-6, 0.0129])
+@pytest.mark.parametrize("offset", [-0.001, 0.0135])
 def test_start_outside_the_stroke_is_refused(offset: float) -> None:
-    with pytest.raises(InputError, match="start offset"):
+    with pytest.raises(InputError, match="start_offset_m"):
         simulate(NOMINAL, replace(FIXED, start_offset_m=offset), TIME_S)
+
+
+@pytest.mark.parametrize(
+    ("offset", "stop"), [(-1e-4, 0.0), (0.0129, NOMINAL.value("fixed.stroke"))]
+)
+def test_start_measured_a_hair_outside_the_stroke_is_on_the_stop(
+    offset: float, stop: float
+) -> None:
+    stroke = simulate(NOMINAL, replace(FIXED, start_offset_m=offset), TIME_S)
+    assert stroke.position_m[0] == stop
 
 
 @pytest.mark.parametrize("kind", ["N-B", "B-N", "N-F", "F-N"])

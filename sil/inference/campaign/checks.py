@@ -15,6 +15,7 @@ import numpy as np
 from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
+from plant.systems.stroke import wrong_start
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record, misspelt_columns
 from sil.campaign.units import COLUMN_UNITS
 from sil.files.quantity import counted, quantity, unit_of
@@ -107,6 +108,9 @@ def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet
     a channel that does not move while the stroke moves.
     """
     path, time_s = record.path, record.time_s
+    start_offset_m, stroke_m = entry.conditions.start_offset_m, parameters.value("fixed.stroke")
+    if entry.conditions.kind == "fixed" and (why := wrong_start(start_offset_m, stroke_m)):
+        raise InputError(f"{path}: {why}")
     duration = time_s[-1] - time_s[0]
     if len(time_s) < 16 or duration < 0.02:
         raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,12 @@ def test_wrong_units_and_dead_channels_are_named(clean, column, change, hint) ->
         checked(changed)
     text = str(caught.value)
     assert column in text and hint in text and "\n" not in text
+
+
+def test_a_start_beyond_the_stroke_is_named_with_its_file(clean) -> None:
+    entry = replace(ENTRY, conditions=replace(ENTRY.conditions, start_offset_m=0.02))
+    with pytest.raises(InputError, match=r"stroke_001\.csv: start_offset_m 0\.02: expected 0 to"):
+        check_record(entry, Record(Path("stroke_001.csv"), columns(clean)), load())
 
 
 def test_a_misspelt_column_is_named(clean, tmp_path, capsys) -> None:
