@@ -49,7 +49,9 @@ class Steps:
 
     farthest_sd: no quantity is tried farther out; dampings: of the steps tried at once; short: share of an
     undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
-    impossible: cost of a shift that cannot be simulated.
+    impossible: cost of a shift that cannot be simulated. stuck: cost beyond the median from which a shift
+    begins anew, at most `freed` of them at once, each from so many starts, the best of so many draws, with so
+    many rounds of settling.
     """
 
     farthest_sd: float = 8.0
@@ -57,6 +59,11 @@ class Steps:
     short: float = 0.4
     trip_draws: int = 4
     impossible: float = 1e6
+    stuck: float = 4.0
+    freed: int = 2
+    starts: int = 8
+    draws: int = 64
+    settling: int = 6
 
 
 PRIORS, STEPS = Priors(), Steps()
@@ -116,8 +123,11 @@ class System(NamedTuple):
     own: Floats
     own_gradient: Floats
 
-    def step(self, damping: float) -> tuple[Floats, Floats]:
-        """Return the damped step of the shared quantities [shared] and of each shift's [shifts, differing]."""
+    def step(self, damping: float, shared: bool = True) -> tuple[Floats, Floats]:
+        """Return the damped step of the shared quantities [shared] and of each shift's [shifts, differing].
+
+        shared: whether the shared ones move.
+        """
         diagonal = np.einsum("kii->ki", self.own)
         inverse = np.linalg.inv(
             self.own + damping * diagonal[:, :, None] * np.eye(len(self.own[0]))
@@ -126,7 +136,7 @@ class System(NamedTuple):
         normal = self.shared + damping * np.diag(np.diag(self.shared))
         normal = normal - np.einsum("kpi,kqi->pq", reach, self.coupling)
         gradient = self.shared_gradient - np.einsum("kpi,ki->p", reach, self.own_gradient)
-        moved = np.linalg.solve(normal, gradient)
+        moved = np.linalg.solve(normal, gradient) if shared else np.zeros_like(gradient)
         rest = self.own_gradient - np.einsum("kpi,p->ki", self.coupling, moved)
         return moved, np.einsum("kij,kj->ki", inverse, rest)
 
@@ -143,6 +153,7 @@ class Fitter:
 
     def __init__(self, model: ShiftModel, noise_m: float) -> None:
         self.model = model
+        self.measured_noise_m = noise_m
         # the timer's rounding is in what is measured at rest, and is no error of its own
         self.noise_m = float(np.sqrt(max(noise_m**2 - model.tick_m**2 / 12.0, 0.0)))
         self.layout = model.layout
@@ -227,8 +238,13 @@ class Fitter:
         sd[columns] = np.minimum(sd[columns], self.layout.shift_sd)
         return share * sd
 
-    def derivatives(self, fit: Fit, share: float, sides: tuple[float, ...]) -> Floats:
-        """Return the derivatives [shifts, pulses, quantities + 1] of positions by standard deviations and size."""
+    def derivatives(
+        self, fit: Fit, share: float, sides: tuple[float, ...], shared: bool = True
+    ) -> Floats:
+        """Return the derivatives [shifts, pulses, quantities + 1] of positions by standard deviations and size.
+
+        shared: also by what does not differ between shifts.
+        """
         assert fit.position_m is not None
         model, layout = self.model, self.layout
         steps, n = self._steps(share), len(model)
@@ -237,7 +253,7 @@ class Fitter:
         places: list[tuple[int, Ints, float]] = []
         for column, item in enumerate(layout.own):
             own = np.flatnonzero(model.acts[:, column])
-            if item.acts == "report" or not len(own):
+            if item.acts == "report" or not len(own) or not (shared or item.shift_sd):
                 continue
             for side in sides:
                 there = amounts[own].copy()
@@ -247,7 +263,7 @@ class Fitter:
                 sizes.append(np.full(len(own), fit.size))
                 by = side * steps[column] / layout.unit_sd[column]
                 places.append((column, own, by))
-        if fit.cause is not None:
+        if fit.cause is not None and shared:
             for side in sides:
                 size = fit.cause.clipped(fit.size + side * share)
                 if size == fit.size:
@@ -433,6 +449,69 @@ class Fitter:
             cost=float(total[rows, taken, best].sum()) + self.unit_cost(unit, fit.size),
         )
 
+    def freed(self, fit: Fit, rng: Rng) -> Fit:
+        """Return a fit in which the shifts farthest off have begun anew from random loads, where that is better.
+
+        A shift may end in a minimum of its own, teeth that part too early, say, from which the truck's
+        quantities do not lead it; what is shared stays as it is until all are fitted again.
+        """
+        fit = self.evaluated(fit, FINE_M)
+        assert fit.per_shift is not None
+        off = fit.per_shift - np.median(fit.per_shift)
+        worst = np.argsort(-off)[: STEPS.freed]
+        stuck = worst[off[worst] > STEPS.stuck]
+        if not len(stuck):
+            return fit
+        starts = STEPS.starts
+        alone = Fitter(self.model.only(np.repeat(stuck, starts)), self.measured_noise_m)
+        anew = replace(fit, spread=np.maximum(fit.spread, 1.0))
+        anew = alone.settled(alone.begun_anew(anew, rng), STEPS.settling)
+        assert anew.per_shift is not None
+        cost = (anew.per_shift + _own_cost(anew.each, anew.spread)).reshape(-1, starts)
+        each = fit.each.copy()
+        each[stuck] = anew.each[np.arange(len(stuck)) * starts + np.argmin(cost, axis=1)]
+        anew = self.improved(replace(anew, each=each), FINE_M, 8)
+        return anew if anew.cost < fit.cost else fit
+
+    def begun_anew(self, fit: Fit, rng: Rng) -> Fit:
+        """Return a fit with the best of random quantities for each shift, its loads anywhere."""
+        n, own = len(self.model), len(self.layout.differing)
+        shape = n, STEPS.draws, own
+        there = rng.normal(size=shape) * (rng.random(shape) < 0.5)
+        there = np.where(self.layout.is_load, rng.uniform(-3.0, 3.0, shape), there)
+        there *= self.mask[:, None, :]
+        which = np.repeat(np.arange(n), STEPS.draws)
+        amounts = self.layout.amounts(fit.unit, there.reshape(-1, own))
+        x, done = self.model.positions(which, amounts, fit.cause, fit.size)
+        variance = self._variance_of(fit, MIDDLE_M)
+        cost = self._misfit(x, done, which, variance).reshape(n, -1) + _own_cost(there, fit.spread)
+        return replace(fit, each=there[np.arange(n), np.argmin(cost, axis=1)])
+
+    def settled(self, fit: Fit, rounds: int) -> Fit:
+        """Return a fit after so many rounds of each shift's own steps; what is shared is kept."""
+        variance = self._variance_of(fit, MIDDLE_M)
+        fit = self.evaluated(fit, MIDDLE_M)
+        rows = np.arange(len(self.model))
+        for turn in range(rounds):
+            side = (1.0, -1.0)[turn % 2]
+            derivatives = self.derivatives(fit, 0.1 if turn else 0.3, (side,), shared=False)
+            system = self.system(fit, derivatives, variance)
+            steps = [system.step(damping, shared=False)[1] for damping in STEPS.dampings]
+            trials = [fit.each, *(fit.each + step for step in (STEPS.short * steps[0], *steps))]
+            each = np.clip(trials, -STEPS.farthest_sd, STEPS.farthest_sd) * self.mask
+            which = np.tile(rows, len(each))
+            amounts = self.layout.amounts(fit.unit, each.reshape(-1, each.shape[2]))
+            x, done = self.model.positions(which, amounts, fit.cause, fit.size)
+            per_shift = self._misfit(x, done, which, variance).reshape(len(each), -1)
+            best = np.argmin(per_shift + _own_cost(each, fit.spread), axis=0)
+            fit = replace(
+                fit,
+                each=each[best, rows],
+                position_m=x.reshape(*per_shift.shape, -1)[best, rows],
+                per_shift=per_shift[best, rows],
+            )
+        return fit
+
     def _with_scales(self, fit: Fit) -> Fit:
         """Return a fit with the scales of its loads (EM) and of the noise (likelihood)."""
         assert fit.position_m is not None
@@ -454,7 +533,7 @@ class Fitter:
         for turn in range(times):
             fit = self._with_scales(fit)
             if turn < times - 1:
-                fit = self.rescanned(fit, FINE_M, rng)
+                fit = self.rescanned(self.freed(fit, rng), FINE_M, rng)
             fit = self.improved(fit, FINE_M, 8, fixed=fixed)
         return self.with_evidence(fit)
 

@@ -44,7 +44,7 @@ class Effort:
     Near it: causes that gain at least least_gain of log evidence by secants are fitted, at most `near`,
     near_fitted of them in full. In a usual truck (wide): sizes tried first, first_shifts that a first look
     takes, variants of an effect, and of each size causes continued and fitted in full. hopeless: cost
-    behind the best from which a coarse fit is not continued; behind, completed: cost, and number of causes,
+    behind the best from which a coarse fit is not continued, of which a shift is at most most_of_shift; behind, completed: cost, and number of causes,
     from which a full one is not, before its last stage. crossed: causes fitted again in the truck of the
     leading one; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
     leading: causes contested by other variants, and by a healthy truck from where they are.
@@ -62,12 +62,13 @@ class Effort:
     wide_continued: int = 12
     wide_fitted: int = 6
     hopeless: float = 40.0
+    most_of_shift: float = 20.0
     behind: float = 12.0
     completed: int = 12
     crossed: int = 8
     contesting: int = 12
     contest: float = 15.0
-    later_sizes: tuple[float, ...] = (0.8, 1.25)
+    later_sizes: tuple[float, ...] = (0.65, 0.8, 1.25, 1.6)
     leading: int = 3
 
 
@@ -250,7 +251,9 @@ class Search:
             (at, fit)
             for at in range(len(sizes))
             for fit in _best_of(
-                [f for f, k in zip(begun, begun_at, strict=True) if k == at], EFFORT.wide_continued
+                [f for f, k in zip(begun, begun_at, strict=True) if k == at],
+                EFFORT.wide_continued,
+                _capped,
             )
         ]
         fits = spread_out(
@@ -259,7 +262,7 @@ class Search:
         best: list[Fit] = []
         for at in range(len(sizes)):
             own = [fit for fit, (k, _) in zip(fits, going, strict=True) if k == at]
-            best += _best_of(own, EFFORT.wide_fitted)
+            best += _best_of(own, EFFORT.wide_fitted, _capped)
         return best
 
     def _coarse(self, job: tuple[bool, Cause, float, int]) -> Fit:
@@ -296,7 +299,7 @@ class Search:
         fitter, rng = self.fitters[fit.mounted], np.random.default_rng(seed)
         fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 6)
         fit = replace(fit, noise_factor=FIRST_FACTOR, spread=np.ones_like(fit.spread))
-        return fitter.improved(fit, FINE_M, 8)
+        return fitter.freed(fitter.improved(fit, FINE_M, 8), rng)
 
     def _ended(self, fit: Fit) -> Fit:
         return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9))
@@ -343,7 +346,7 @@ class Search:
             fit = fitter.rescanned(fit, error_m, rng, 64)
             fit = fitter.improved(fit, error_m, 4, fixed=True)
         fit = replace(fitter.improved(fit, MIDDLE_M, 5), noise_factor=FIRST_FACTOR)
-        return fitter.improved(fit, FINE_M, 8)
+        return fitter.freed(fitter.improved(fit, FINE_M, 8), rng)
 
 
 def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:
@@ -369,6 +372,12 @@ def _unlike(fits: Sequence[Fit]) -> list[Fit]:
         if not any(0.8 < fit.size / k.size < 1.25 for k in like if k.size):
             kept.append(fit)
     return kept
+
+
+def _capped(fit: Fit) -> float:
+    """Return the cost of a coarse fit; a shift counts no more than a stuck one: it will begin anew."""
+    assert fit.per_shift is not None
+    return fit.cost - float(np.maximum(fit.per_shift - EFFORT.most_of_shift, 0.0).sum())
 
 
 def _best_of(

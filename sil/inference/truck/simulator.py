@@ -78,8 +78,8 @@ class ShiftModel:
         sensor = InductiveSensor.from_parameters(parameters)
         self.tick_m = sensor.tick_s / sensor.slope_s_m
         has_supply = not any(np.isnan(s.supply_pa) for s in shifts)
-        trips = trips or trips_of(shifts)
-        self.layout = Layout(quantities(parameters, has_supply, len(trips)))
+        self.trips = trips or trips_of(shifts)
+        self.layout = Layout(quantities(parameters, has_supply, len(self.trips)))
         self.strokes = 0
         lengths = np.array([len(s.time_s) for s in shifts])
         most = int(lengths.max())
@@ -99,7 +99,7 @@ class ShiftModel:
             "into gear": np.array(into) & mounted,
             "out of gear": np.array(out_of) & mounted,
         }
-        for k, trip in enumerate(trips):
+        for k, trip in enumerate(self.trips):
             kinds[f"trip {k}"] = np.array([s.source == trip for s in shifts])
         self.acts: Bools = np.array([kinds[item.acts] for item in self.layout.own]).T
         conditions = StrokeConditions(
@@ -112,6 +112,14 @@ class ShiftModel:
 
     def __len__(self) -> int:
         return len(self.shifts)
+
+    def only(self, which: Ints) -> ShiftModel:
+        """Return the model of some of these shifts alone."""
+        model = ShiftModel(
+            [self.shifts[k] for k in which], self.parameters, self.mounted, self.trips
+        )
+        model._actuators = self._actuators
+        return model
 
     def actuator(self, cause: Cause | None, size: float) -> Actuator:
         """Return the actuator with a cause of a size in typical ones."""

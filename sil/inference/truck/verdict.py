@@ -24,6 +24,8 @@ from sil.inference.verdict import Conclusion, kind_of
 
 TEMPER: Final = 1.0 / 3.0
 """Share of a difference in evidence that counts between causes."""
+MINIMA_RISE: Final = 2.0 / TEMPER
+"""Rise of the cost, beyond the best minimum, of those in which the truth may lie: 2 for 95 %, tempered."""
 REPEATED: Final = 2
 """Shifts in which a deviation repeats."""
 
@@ -130,6 +132,17 @@ def _causes(hypotheses: Sequence[Hypothesis]) -> set[str]:
     return {item.fit.id for item in hypotheses if item.fit.cause is not None}
 
 
+def _interval(fit: Fit, fits: Sequence[Fit], fitters: dict[bool, Fitter]) -> tuple[float, float]:
+    """Return the 95 % interval of a fit's size, with the minima that are hardly worse."""
+    low, high = fitters[fit.mounted].profile(fit)
+    sizes = [
+        other.size
+        for other in fits
+        if other.name == fit.name and other.cost <= fit.cost + MINIMA_RISE
+    ]
+    return min(low, *sizes), max(high, *sizes)
+
+
 def decide(
     fits: Sequence[Fit], causes: Sequence[Cause], fitters: dict[bool, Fitter], failed: int
 ) -> Verdict:
@@ -141,7 +154,7 @@ def decide(
     sound = probabilities["healthy"]
     is_wrong = failed > 0 or far >= REPEATED or sound <= LIMITS.max_healthy_probability
     claims = reported(hypotheses, probabilities) if is_wrong and hypotheses[1:] else []
-    claims = [replace(c, interval=fitters[c.fit.mounted].profile(c.fit)) for c in claims]
+    claims = [replace(c, interval=_interval(c.fit, fits, fitters)) for c in claims]
     if claims and not claims[0].excludes_neutral:
         claims = []
     claims = [claim for claim in claims if claim.excludes_neutral]

@@ -45,6 +45,27 @@ def test_no_round_and_no_scan_makes_a_fit_worse(fitter: Fitter, usual: Fit) -> N
     assert better.cost == pytest.approx(fitter.evaluated(better, COARSE_M).cost)
 
 
+def test_a_shift_stuck_in_a_minimum_of_its_own_begins_anew(fitter: Fitter, usual: Fit) -> None:
+    rng = np.random.default_rng(3)
+    good = fitter.improved(fitter.rescanned(usual, COARSE_M, rng), COARSE_M, 4)
+    good = fitter.improved(replace(good, noise_factor=FIRST_FACTOR), FINE_M, 8)
+    assert good.per_shift is not None and good.per_shift.max() < 5.0
+    loads = np.flatnonzero(fitter.layout.is_load)
+    into_gear = int(np.flatnonzero(fitter.mask[:, loads[1]])[0])
+    each = good.each.copy()
+    each[into_gear, loads] = -4.0 * fitter.mask[into_gear, loads]
+    stuck = fitter.improved(replace(good, each=each), FINE_M, 1)
+    assert stuck.per_shift is not None and stuck.per_shift[into_gear] > 10.0
+    freed = fitter.freed(stuck, rng)
+    assert freed.per_shift is not None
+    assert freed.cost < stuck.cost - 5.0 and freed.per_shift[into_gear] < 5.0
+
+
+def test_what_no_shift_is_stuck_in_is_left_as_it_is(fitter: Fitter, usual: Fit) -> None:
+    fit = fitter.evaluated(replace(usual, noise_factor=1e3), FINE_M)
+    assert fitter.freed(fit, np.random.default_rng(1)).each is fit.each
+
+
 def test_a_fit_ends_where_its_cost_is_low_enough(fitter: Fitter, usual: Fit) -> None:
     shifted = fitter.evaluated(replace(usual, unit=usual.unit + 0.5), COARSE_M)
     assert fitter.improved(shifted, COARSE_M, 4, enough=shifted.cost).cost == shifted.cost

@@ -13,7 +13,7 @@ from sil.inference.fit import no_progress
 from sil.inference.truck.causes import catalogue
 from sil.inference.truck.diagnosis import rest_noise_m
 from sil.inference.truck.fit import Fit
-from sil.inference.truck.search import EFFORT, Search, _best_of, _unlike, spread
+from sil.inference.truck.search import EFFORT, Search, _best_of, _capped, _unlike, spread
 from sil.log_replay.recorded_shifts import RecordedShift
 from tests.unit.sil.inference.truck.test_causes import only
 
@@ -40,6 +40,12 @@ def test_of_each_effect_the_best_goes_on_unless_it_is_hopeless() -> None:
     fits += [coarse("piston_leak", 4.0)]
     assert [fit.cost for fit in _best_of(fits, 5)] == [3.0, 4.0]
     assert [fit.cost for fit in _best_of(fits, 1)] == [3.0]
+
+
+def test_a_shift_that_is_stuck_does_not_make_a_coarse_fit_hopeless(usual: Fit) -> None:
+    stuck = replace(usual, cost=300.0, per_shift=np.array([5.0, 3.0, 270.0]))
+    poor = replace(usual, cost=70.0, per_shift=np.array([19.0, 20.0, 19.0]))
+    assert _capped(stuck) == 50.0 and _capped(poor) == 70.0
 
 
 def test_of_a_cause_at_nearly_one_size_the_best_fit_is_kept() -> None:

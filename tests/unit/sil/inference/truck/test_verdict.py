@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -68,6 +69,12 @@ def test_causes_that_are_alike_are_ambiguous() -> None:
 def test_a_cause_whose_interval_holds_nothing_is_not_named() -> None:
     found = judged([fit("", 0.0), fit("detent", 30.0)], ends=(0.0, 3.0))
     assert (found.kind, found.causes) == (UNNAMED, ())
+
+
+def test_minima_that_are_hardly_worse_widen_the_interval() -> None:
+    others = [(30.0, 2.0, 10.0), (28.0, 4.0, 14.0), (20.0, 9.0, 30.0)]
+    detents = [replace(fit("detent", e, size=size), cost=cost) for e, size, cost in others]
+    assert judged([fit("", 0.0), *detents]).causes[0].interval == (1.0, 4.0)
 
 
 def test_what_leaves_far_more_than_noise_has_no_name() -> None:
