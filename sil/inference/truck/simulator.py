@@ -114,7 +114,7 @@ class ShiftModel:
         return len(self.shifts)
 
     def only(self, which: Ints) -> ShiftModel:
-        """Return the model of some of these shifts alone."""
+        """Return the model of the shifts `which` [n] alone."""
         model = ShiftModel(
             [self.shifts[k] for k in which], self.parameters, self.mounted, self.trips
         )
