@@ -180,9 +180,9 @@ def new_campaign(arguments: argparse.Namespace) -> int:
 def run_force(arguments: argparse.Namespace, campaign: str, stamps: list[str]) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if not consistent."""
     from sil.files.output_folder import finite, prepare_folder
+    from sil.inference.force.diagnosis import diagnose_motion
     from sil.inference.force.page import write_page
     from sil.inference.force.record import read_motion
-    from sil.inference.force.rig import diagnose_motion
 
     record = read_motion(campaign)
     folder = prepare_folder(arguments.out, f"{record.name}-diagnosis", arguments.force)

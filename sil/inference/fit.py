@@ -20,10 +20,144 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.errors import IntegrationError
-from sil.inference.arrow import FARTHEST_SD, Bounds, Inner, arrow, scattered
+from sil.files.quantity import counted
 from sil.inference.candidate import Candidate, precision, scaled_of
 from sil.inference.problem import Block, Floats, Problem, Shared
-from sil.inference.refused import Refusals, shown
+
+FARTHEST_SD = 4.5
+"""No healthy quantity is tried farther out than this: friction and flows stay positive."""
+
+Inner = dict[int, tuple[Floats, Floats, Floats]]
+"""By stroke: inverse of its scatter's information, coupling with the shared parameters, gradient."""
+
+Bounds = dict[int, tuple[NDArray[np.bool_], Floats]]
+"""By stroke: which of its scatter is set on its bounds, and how far it moves for that."""
+
+
+def arrow(
+    blocks: dict[int, Block],
+    spread: Floats,
+    shared: Floats,
+    layout: Shared,
+    weight: float = 1.0,
+    on: Bounds | None = None,
+) -> tuple[Floats, Floats, Inner]:
+    """Return normal matrix and gradient of the shared parameters, the strokes' scatter eliminated.
+
+    spread: [strokes, scatter]; shared: [shared]; no unit. weight: of the residuals against the
+    priors; on: by default what is on its bound and presses outward. Result [shared, shared],
+    [shared] and what each stroke's scatter needs.
+    """
+    n = len(layout.names)
+    normal: Floats = np.zeros((n, n))
+    gradient: Floats = np.zeros(n)
+    inner: Inner = {}
+    for k, block in blocks.items():
+        r, a, b, aa, hus, bb = _weighted(block, weight)
+        if on is None:
+            gs: Floats = b.T @ r - spread[k]
+            at_bound = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
+        else:
+            at_bound = np.zeros(b.shape[1], dtype=bool)
+            if k in on:
+                at_bound, moved = on[k]
+                r = r - b @ np.where(at_bound, moved, 0.0)
+            gs = b.T @ r - spread[k]
+        if at_bound.any():
+            hus, bb = np.where(at_bound, 0.0, hus), np.where(at_bound | at_bound[:, None], 0.0, bb)
+            gs = np.where(at_bound, 0.0, gs)
+        inverse = np.asarray(np.linalg.inv(bb + np.eye(b.shape[1])), dtype=np.float64)
+        normal += aa - hus @ inverse @ hus.T
+        gradient += a.T @ r - hus @ (inverse @ gs)
+        inner[k] = (inverse, hus, gs)
+    normal += layout.prior
+    gradient -= layout.prior @ shared
+    return normal, gradient, inner
+
+
+def _weighted(block: Block, weight: float) -> tuple[Floats, ...]:
+    """Return residual, derivatives by shared and scatter, and the products of these, weighted."""
+    if weight not in block.weighted:
+        root = weight**0.5
+        a, b = root * block.shared, root * block.scatter
+        block.weighted.clear()
+        block.weighted[weight] = root * block.residual, a, b, a.T @ a, a.T @ b, b.T @ b
+    return block.weighted[weight]
+
+
+def scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:
+    """Return the scatter of strokes that goes with a step `moved` of the shared parameters.
+
+    spread: [strokes, scatters], moved: [shared], both in steps of the fit's scaled parameters.
+    """
+    there = spread.copy()
+    for k, (inverse, hus, gs) in inner.items():
+        there[k] += inverse @ (gs - hus.T @ moved)
+    return there
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Values of a hypothesis: how many were tried and refused; first: why the first was refused.
+
+    lost: fits of it that were given up for that reason.
+    """
+
+    ids: tuple[str, ...]
+    tried: int = 0
+    refused: int = 0
+    lost: int = 0
+    first: str = ""
+
+    def __add__(self, other: Tried) -> Tried:
+        return Tried(
+            self.ids,
+            self.tried + other.tried,
+            self.refused + other.refused,
+            self.lost + other.lost,
+            self.first or other.first,
+        )
+
+    def __str__(self) -> str:
+        given_up = f", {self.lost} of its fits given up" if self.lost else ""
+        return (
+            f"{self.refused} of {counted(self.tried, 'value')} tried cannot be simulated: left out"
+            f"{given_up}; the first: {self.first}"
+        )
+
+
+def shown(candidates: Sequence[Candidate], values: Sequence[Mapping[str, float]]) -> str:
+    """Return values of a hypothesis in words, empty for a hypothesis without any or a term's nodes."""
+    named = [
+        f"{name} {value:.4g}"
+        for item, parameters in zip(candidates, values, strict=True)
+        if not item.is_term
+        for name, value in parameters.items()
+    ]
+    return f"{', '.join(named)} in " if named else ""
+
+
+class Refusals(dict[str, Tried]):
+    """What was tried of every hypothesis, by the name that its fit has."""
+
+    def add(self, candidates: Sequence[Candidate], error: IntegrationError | None) -> None:
+        """Count a value of a hypothesis that was simulated, or could not be because of an error."""
+        self._add(candidates, refused=int(error is not None), tried=1, first=str(error or ""))
+
+    def lose(self, candidates: Sequence[Candidate], error: IntegrationError) -> None:
+        """Count a fit of a hypothesis that was given up because of an error."""
+        self._add(candidates, lost=1, first=str(error))
+
+    def _add(self, candidates: Sequence[Candidate], **counts: int | str) -> None:
+        name = "+".join(item.name for item in candidates) or "healthy"
+        ids = tuple(item.id for item in candidates)
+        self.join({name: Tried(ids, **counts)})  # type: ignore[arg-type]
+
+    def join(self, others: dict[str, Tried]) -> None:
+        """Add what another process counted."""
+        for name, item in others.items():
+            self[name] = self[name] + item if name in self else item
+
 
 Show = Callable[[float, float], None]
 """Shows that so much of so much is done."""

@@ -17,10 +17,9 @@ import numpy as np
 
 from plant.effects import EffectParameter
 from plant.errors import IntegrationError
-from sil.inference.arrow import FARTHEST_SD
 from sil.inference.candidate import scaled_of, value_of
 from sil.inference.evidence import Misfit
-from sil.inference.fit import FitResult, Fitter
+from sil.inference.fit import FARTHEST_SD, FitResult, Fitter
 from sil.inference.report import Interval
 from sil.inference.workers import spread_out
 

@@ -18,11 +18,9 @@ from typing import Any
 import numpy as np
 
 from plant.errors import IntegrationError
-from sil.inference.arrow import FARTHEST_SD, arrow
 from sil.inference.candidate import Candidate
-from sil.inference.fit import FitResult, Fitter
+from sil.inference.fit import FARTHEST_SD, FitResult, Fitter, arrow, shown
 from sil.inference.problem import Floats, Problem
-from sil.inference.refused import shown
 from sil.inference.workers import spread_out
 
 
@@ -89,11 +87,7 @@ class DetectableSize:
 
 
 def detectable(
-    fitter: Fitter,
-    fit: FitResult,
-    scores: Sequence[Score],
-    gain: float,
-    workers: int,
+    fitter: Fitter, fit: FitResult, scores: Sequence[Score], gain: float, workers: int
 ) -> list[DetectableSize]:
     """Return the smallest size of each cause that would gain so much in the blocks of a fit.
 

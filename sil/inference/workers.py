@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from sil.files.worker import Answer, Item, in_processes
-from sil.inference.fit import Fitter, Show, no_progress
-from sil.inference.refused import Refusals
+from sil.inference.fit import Fitter, Refusals, Show, no_progress
 
 
 class Stages:

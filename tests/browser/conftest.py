@@ -14,7 +14,7 @@ from plant.parameters import Parameter, ParameterSet, load
 from sil.cli import main
 from tests.support.made_campaign import made
 from tests.support.truck_synthesis import DRIVE, Truck, write_log
-from tests.unit.sil.inference.force.test_rig import rig
+from tests.unit.sil.inference.force.test_diagnosis import rig
 
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking",

@@ -8,8 +8,8 @@ import pytest
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
 from sil.campaign.simulate import simulate_campaign
+from sil.inference.campaign.causes import relative_errors
 from sil.inference.campaign.diagnosis import diagnose
-from sil.inference.campaign.residuals import relative_errors
 from tests.hidden_effects import campaign
 from tests.hidden_effects.campaign import Hidden, write_campaign
 

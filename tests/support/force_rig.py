@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sil.inference.force.diagnosis import ForceDiagnosis, diagnose_motion
 from sil.inference.force.record import read_motion
-from sil.inference.force.result import ForceDiagnosis
-from sil.inference.force.rig import diagnose_motion
 
 
 def diagnose_force(path: Path) -> ForceDiagnosis:

@@ -19,8 +19,13 @@ from plant.kernel.layout import LENGTH
 from plant.parameters import Number, Parameter, ParameterSet
 from plant.parameters.calibration import OF_TRUCK, UNITS
 from sil.files.quantity import counted
-from sil.inference.calibrate.calibration import FOLDS, Calibration, HeldOut
-from sil.inference.calibrate.values import Calibrated, actuator_values
+from sil.inference.calibrate.calibration import (
+    FOLDS,
+    Calibrated,
+    Calibration,
+    HeldOut,
+    actuator_values,
+)
 from sil.inference.evidence import ChannelMisfit
 from sil.inference.fit import Show, no_progress
 from sil.inference.truck.diagnosis import MOST_SHIFTS, SEARCHED_SHIFTS, noise_of

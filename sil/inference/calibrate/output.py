@@ -12,7 +12,7 @@ from plant.parameters import Parameter, load
 from sil.files.atomic import write_atomically
 from sil.inference.calibrate.calibration import Calibration, StrokeCalibration, residuals
 from sil.inference.campaign.figures import CHANNEL_UNITS, title_of
-from sil.inference.model_file import model_file
+from sil.inference.report import model_file
 from sil.report.figure import MS, Figure, Panel, Series, Span, Stack
 from sil.report.plots import plots
 from sil.report.shell import Head, render
@@ -82,11 +82,5 @@ def write_page(result: Calibration, figure: Figure, path: Path, again: str) -> N
         again=again,
     )
     rows = [(path, result.parameters[path], item) for path, item in result.scalars.items()]
-    page = render(
-        "calibration.html",
-        head,
-        plots(figure),
-        result=result,
-        rows=rows,
-    )
+    page = render("calibration.html", head, plots(figure), result=result, rows=rows)
     write_atomically(path, page)

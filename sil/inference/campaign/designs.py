@@ -144,10 +144,7 @@ def imagined(
     noise = {c.name: c.noise for stroke in strokes for c in stroke.channels}
     internal = any(stroke.internal is not None for stroke in strokes)
     end_s = max(float(stroke.time_s[-1]) for stroke in strokes)
-    stroke_m = {
-        FIXED: parameters.value("fixed.stroke"),
-        LENGTH: parameters.value("length.stroke"),
-    }
+    stroke_m = {FIXED: parameters.value("fixed.stroke"), LENGTH: parameters.value("length.stroke")}
     observations = []
     for entry in entries:
         last_s = max((when for when, _valve, _duty in entry.conditions.commands), default=0.0)

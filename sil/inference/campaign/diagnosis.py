@@ -19,20 +19,16 @@ from plant.kernel.layout import LENGTH
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign
 from sil.files.html_table import html_table
-from sil.inference.campaign.causes import causes_of, extended_model, includes_neutral
+from sil.inference.campaign.causes import causes_of, extended_model, gain_between, includes_neutral
 from sil.inference.campaign.checks import Finding, check_strokes, observed
-from sil.inference.campaign.model import CampaignModel
+from sil.inference.campaign.model import CampaignModel, model_of
 from sil.inference.campaign.next_experiment import NextExperiment, next_experiment
 from sil.inference.campaign.observations import StrokeObservation
-from sil.inference.campaign.residuals import gain_between
 from sil.inference.campaign.split import odd_ones_in, split
-from sil.inference.campaign.tangent_model import model_of
-from sil.inference.campaign.terms import term_candidate
-from sil.inference.candidate import Candidate, candidates
+from sil.inference.candidate import Candidate, candidates, term_candidate
 from sil.inference.evidence import misfit
-from sil.inference.fit import FitResult, Fitter, Show, no_progress
+from sil.inference.fit import FitResult, Fitter, Refusals, Show, no_progress
 from sil.inference.headline import headline, seen_sentence
-from sil.inference.refused import Refusals
 from sil.inference.report import Gain, ReportedCause, diagnosis_json
 from sil.inference.screening import DetectableSize, detectable, screen
 from sil.inference.search import Search

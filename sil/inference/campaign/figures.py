@@ -12,18 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sil.inference.campaign.model import channel_parts
-from sil.report.figure import (
-    BAR,
-    MM,
-    MS,
-    Band,
-    Figure,
-    Panel,
-    Rule,
-    Series,
-    Span,
-    Stack,
-)
+from sil.report.figure import BAR, MM, MS, Band, Figure, Panel, Rule, Series, Span, Stack
 
 if TYPE_CHECKING:
     from plant.effects.term import TermForm

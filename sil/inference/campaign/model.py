@@ -13,13 +13,18 @@ from typing import Any
 
 import numpy as np
 
+from plant.batch.tangents import MOVE
 from plant.effects import EffectParameter
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift
 from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
-from sil.inference.campaign.internal import INTERNAL_SD_M, internal_prediction
-from sil.inference.campaign.observations import ObservedChannel, StrokeObservation
+from sil.inference.campaign.observations import (
+    INTERNAL_SD_M,
+    ObservedChannel,
+    StrokeObservation,
+    internal_prediction,
+)
 from sil.inference.campaign.split import Stratum, stratum
 from sil.inference.candidate import Candidate, is_scale, log_size, scaled_of
 from sil.inference.problem import Block, ChannelPart, Problem
@@ -348,3 +353,70 @@ def channel_parts(
 def _delay_s(setup: Setup, instant: str) -> float:
     timing = setup.timing
     return (timing.rise_ns if instant == "rise" else timing.fall_ns) / 1e9
+
+
+DELAY_ARGUMENTS = {"rise": "rise_ns", "fall": "fall_ns"}
+
+
+class TangentModel(CampaignModel):
+    """The campaign's model for strokes that are compared by external records alone."""
+
+    def derivatives(
+        self,
+        k: int,
+        here: tuple[Setup, Floats],
+        moved: Moved,
+        steps: Mapping[str, float],
+        central: bool,
+    ) -> tuple[Floats, dict[str, Floats]]:
+        """As the base class's [n]; by differences only where the events do not move along."""
+        setup = here[0]
+        sizes, setups = [], []
+        for name, step in steps.items():
+            h = 20e-9 if name in DELAY_ARGUMENTS else float(np.copysign(MOVE, step))
+            setups.append(moved(name, h))
+            if name in DELAY_ARGUMENTS:
+                before, after = (
+                    getattr(s.timing, DELAY_ARGUMENTS[name]) for s in (setup, setups[-1])
+                )
+                h = 1e-9 * (after - before)
+            sizes.append(h)
+        predictor = self.strokes[k].predictor
+        if setup.p.air_kappa == 0.0:
+            states, found = predictor.derivatives(setup, setups, sizes)
+        else:
+            # chambers that are full make a cylinder stiff, and steps at the limit of stability magnify a
+            # neighbour's distance, never the opposite: the least of several sequences of steps is right
+            others = [
+                predictor.derivatives(setup, setups, sizes, tolerance=t) for t in (1e-8, 3e-9, 1e-9)
+            ]
+            states = others[0][0]
+            found = [
+                _least(rates) for rates in zip(*(rates for _states, rates in others), strict=True)
+            ]
+        base = self.numbers_of(k, setup, states, False)
+        columns: dict[str, Floats] = {}
+        for (name, step), other, h, rates in zip(steps.items(), setups, sizes, found, strict=True):
+            if rates is None or h == 0.0:
+                columns[name] = self.difference(k, base, partial(moved, name), step, central)
+            else:
+                columns[name] = (self.numbers_of(k, other, states + h * rates, False) - base) / h
+        return base, columns
+
+
+def _least(rates: Sequence[Floats | None]) -> Floats | None:
+    """Return the derivative [n, states] in which each state, in its own unit, changes least in all; None without any."""
+    some = [one for one in rates if one is not None]
+    if not some:
+        return None
+    least = np.argmin([np.sum(one**2, axis=0) for one in some], axis=0)
+    return np.stack([some[j][:, column] for column, j in enumerate(least)], axis=1)
+
+
+def model_of(strokes: Sequence[StrokeObservation], spread: Spread) -> CampaignModel:
+    """Return the model of a campaign: along the strokes' own steps for a cylinder.
+
+    At its stops, differences would feign precision.
+    """
+    is_cylinder = all(stroke.setup.p.air_kappa > 0.0 for stroke in strokes)
+    return (TangentModel if is_cylinder else CampaignModel)(strokes, spread)

@@ -107,9 +107,7 @@ def draft(
     return list(map(str, channels)), asked
 
 
-def _read(
-    files: Sequence[Path],
-) -> tuple[list[tuple[dict[str, Floats], str, dict[str, str]]], str]:
+def _read(files: Sequence[Path]) -> tuple[list[tuple[dict[str, Floats], str, dict[str, str]]], str]:
     """Read files with the same columns; return what asks for the decimal sign if none shows it.
 
     Raises InputError for files whose columns differ.

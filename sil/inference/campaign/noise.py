@@ -60,9 +60,7 @@ def rounding_of(values: Floats) -> float:
 
 
 def estimated_noise(
-    strokes: Sequence[StrokeObservation],
-    records: Sequence[Record],
-    nominal: Mapping[str, Noise],
+    strokes: Sequence[StrokeObservation], records: Sequence[Record], nominal: Mapping[str, Noise]
 ) -> dict[str, Noise]:
     """Return the noise of each channel that differs from the nominal noise of its kind.
 

@@ -14,11 +14,11 @@ from plant.effects.user_file import MARK, loaded_effects
 from sil.campaign.campaign import campaign_toml
 from sil.files.atomic import write_atomically
 from sil.files.quantity import noun
+from sil.inference.campaign.causes import relative_errors
 from sil.inference.campaign.diagnosis import FALSE_ALARM_BASIS, Diagnosis
 from sil.inference.campaign.figures import next_figure, strokes_figure, term_figure
-from sil.inference.campaign.residuals import relative_errors
-from sil.inference.campaign.terms import form_of
-from sil.inference.refused import Tried
+from sil.inference.candidate import form_of
+from sil.inference.fit import Tried
 from sil.inference.report import FALSE_ALARM_LEVEL, ReportedCause
 from sil.inference.verdict import Judged
 from sil.inference.workers import spread_out

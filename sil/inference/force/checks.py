@@ -1,6 +1,6 @@
 """Channels of a body's record: their noise, and what forbids conclusions from them.
 
-Checked by: tests/unit/sil/inference/force/test_rig.py
+Checked by: tests/unit/sil/inference/force/test_diagnosis.py
 """
 
 from __future__ import annotations

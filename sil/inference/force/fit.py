@@ -2,7 +2,7 @@
 
 D = M a + F_C sgn v + d v + F_0 + causes, all filtered alike. The columns of all hypotheses are
 reduced once, group by group, to their products; a hypothesis is then the solution of a few equations.
-Checked by: tests/unit/sil/inference/force/test_rig.py
+Checked by: tests/unit/sil/inference/force/test_diagnosis.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """report.html of a rig known by force and position: what is wrong, the body, what was tried.
 
-Checked by: tests/unit/sil/inference/force/test_rig.py, tests/browser/
+Checked by: tests/unit/sil/inference/force/test_diagnosis.py, tests/browser/
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import numpy as np
 
 from sil.campaign.campaign import Floats
 from sil.files.atomic import write_atomically
+from sil.inference.force.diagnosis import DETECTABILITY, ForceDiagnosis
 from sil.inference.force.fit import gain_in_errors
-from sil.inference.force.result import DETECTABILITY, ForceDiagnosis
 from sil.report.figure import Figure, Panel, Series, Stack
 from sil.report.picture import save
 from sil.report.plots import plots

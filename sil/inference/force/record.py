@@ -4,7 +4,7 @@ Speed, acceleration and force go through one Gaussian filter: what is linear in 
 forces holds for filtered signals as it does for raw ones. Samples close to rest and to the ends of
 a record are left out. What is odd about a record is a finding; what forbids any conclusion from it
 is a doubt.
-Checked by: tests/unit/sil/inference/force/test_rig.py
+Checked by: tests/unit/sil/inference/force/test_diagnosis.py
 """
 
 from __future__ import annotations

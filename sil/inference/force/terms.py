@@ -3,7 +3,7 @@
 Causes of the catalogue that a balance of forces can show, physics that belongs to no catalogue of
 faults (springs, drag, errors of gauge or area), and functions without a form, which say where a
 residual sits.
-Checked by: tests/unit/sil/inference/force/test_rig.py
+Checked by: tests/unit/sil/inference/force/test_diagnosis.py
 """
 
 from __future__ import annotations

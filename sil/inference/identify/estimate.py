@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plant.parameters import Parameter, ParameterSet
-from sil.inference.model_file import model_file
+from sil.inference.report import model_file
 from sil.inference.thresholds import LIMITS
 from sil.report.figure import Figure
 

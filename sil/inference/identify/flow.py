@@ -242,10 +242,7 @@ def identify_flow(
 
 
 def _identify_direction(
-    charging: bool,
-    records: list[RestRecord],
-    campaign: Campaign,
-    parameters: ParameterSet,
+    charging: bool, records: list[RestRecord], campaign: Campaign, parameters: ParameterSet
 ) -> tuple[list[ParameterEstimate], str, Stack]:
     """Return the estimates of one direction, a note on them and their figure."""
     word, axis, alpha_m, section, joint, degrees = DIRECTIONS[charging]

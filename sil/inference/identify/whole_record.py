@@ -20,8 +20,8 @@ from plant.parameters import ParameterSet
 from plant.systems.stroke import simulate
 from sil.campaign.campaign import Campaign, CampaignStroke, Record, stroke_columns
 from sil.files.quantity import counted
+from sil.inference.campaign.model import TangentModel
 from sil.inference.campaign.observations import observe
-from sil.inference.campaign.tangent_model import TangentModel
 from sil.inference.candidate import Candidate
 from sil.inference.evidence import misfit
 from sil.inference.fit import Fitter, Show, no_progress

@@ -10,7 +10,7 @@ import pytest
 from plant.effects import CATALOGUE
 from plant.errors import IntegrationError
 from sil.inference.evidence import ChannelMisfit, Misfit
-from sil.inference.refused import Refusals
+from sil.inference.fit import Refusals
 from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import HeldOutFits, by_cause, decide, judge, slight_causes, weigh
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sil.inference.force.delay import sooner
+from sil.inference.force.diagnosis import ForceDiagnosis
 from sil.inference.force.record import read_motion
-from sil.inference.force.result import ForceDiagnosis
 from tests.support.force_rig import diagnose_force
 from tests.support.held_bodies import draw_held
 from tests.unit.sil.inference.made_rig import HEAD, changed, rig, written

@@ -8,7 +8,7 @@ import pytest
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
-from sil.inference.campaign.internal import internal_prediction, internal_samples
+from sil.inference.campaign.observations import internal_prediction, internal_samples
 from tests.support.made_campaign import conditions_of
 
 TIME_S = np.arange(3001) * 1e-4
