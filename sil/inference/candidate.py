@@ -19,6 +19,7 @@ from plant.effects.added_term import compile_terms
 from plant.effects.effect import Need, Starts
 from plant.effects.setup import Setup
 from plant.effects.term import FORMS, TermForm, term
+from plant.errors import InputError, IntegrationError
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,14 @@ class Candidate:
         return f"{self.id}:{self.variant}" if self.variant else self.id
 
     def change(self, setup: Setup, values: Mapping[str, float]) -> None:
-        """Change a stroke's setup by these values of the fitted parameters."""
-        self.effect.apply(setup, {**self.fixed, **values})
+        """Change a stroke's setup by these values of the fitted parameters.
+
+        Raises IntegrationError for values at which the plant does not exist: a fit goes on without them.
+        """
+        try:
+            self.effect.apply(setup, {**self.fixed, **values})
+        except InputError as error:
+            raise IntegrationError(str(error)) from error
 
     def physical(self, values: Mapping[str, float]) -> bool:
         """Return whether the main parameter is on the side that the cause's description means."""

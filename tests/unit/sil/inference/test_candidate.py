@@ -13,6 +13,7 @@ from can_dbc.errors import InputError
 from plant.batch.prediction import Predictor
 from plant.effects import CATALOGUE
 from plant.effects.term import FORMS, TermForm, term
+from plant.errors import IntegrationError
 from plant.kernel.layout import LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
@@ -47,6 +48,13 @@ def test_neutral_changes_nothing_and_starts_are_within_bounds(item) -> None:
         for value, parameter in zip(start, item.parameters, strict=True):
             assert parameter.low <= value <= parameter.high
         assert item.physical(dict(zip([p.name for p in item.parameters], start, strict=True)))
+
+
+def test_a_value_at_which_the_plant_does_not_exist_is_one_that_a_fit_leaves_out() -> None:
+    delay = next(item for item in ALL if item.id == "sensor_delay")
+    setup = make_setup(load(), conditions_of("N-B", 900000.0))
+    with pytest.raises(IntegrationError, match=r"latency: -0\.0159; expected"):
+        delay.change(setup, {"delay_s": -0.02})
 
 
 def test_candidates_travel_by_name_and_variants_exclude_each_other() -> None:
