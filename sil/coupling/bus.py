@@ -1,12 +1,9 @@
 """The simulated CAN bus: arbitration, exact frame lengths, bit rate, load.
 
-Model: whenever the bus is idle, the frame with the lowest identifier among those released starts
-and is not interrupted; it arrives everywhere at the end of its end-of-frame field; three bits of
-intermission follow. Each sender hands its frames over by priority, so the queue is one for all.
-Of an identifier with a mailbox, one frame waits per sender: as in a CAN controller with one
-transmit object per message, newer content overwrites what has not been sent yet.
-Faults enter through two functions given by the caller, `frame_filter` and `is_off`; without them
-the bus is perfect.
+Whenever the bus is idle, the frame with the lowest identifier among those released starts and is not
+interrupted; it arrives everywhere at the end of its end-of-frame field; three bits of intermission
+follow. Of an identifier with a mailbox, one frame waits per sender, overwritten by newer content.
+Faults enter through `frame_filter` and `is_off`; without them the bus is perfect.
 """
 
 from __future__ import annotations
@@ -62,15 +59,13 @@ class ErrorFrame(NamedTuple):
 FrameFilter = Callable[[Transmission], Iterable[BusFrame] | ErrorFrame]
 """Called once per transmission, when its start is certain, in order of time.
 
-Returns what arrives and when: `transmission.delivered()`; nothing, for a frame that is lost without
-anybody noticing; a BusFrame with other bytes, for corruption that passes the CRC; a later
-`arrival_ns`, for a delay; further BusFrames, for insertion. No arrival is before `end_ns`.
-Or an ErrorFrame, for corruption that is detected. The time that the frame took on the bus does not
-depend on the answer except by an ErrorFrame."""
+Returns what arrives and when, never before `end_ns`: `transmission.delivered()`, changed or delayed
+BusFrames or further ones, nothing for a frame that is lost unnoticed; or an ErrorFrame, which alone
+changes the time that the frame takes on the bus."""
 
 IsOff = Callable[[str, int], bool]
-"""Whether a sender is bus-off at an instant in ns. Its frames are dropped, those released then and
-those that still wait; a frame already on the bus is left to the `frame_filter`."""
+"""Whether a sender is bus-off at an instant in ns. Its released and waiting frames are dropped; one
+already on the bus is left to the `frame_filter`."""
 
 
 @dataclass(slots=True)
@@ -78,10 +73,8 @@ class BusStatistics:
     """Counts and times of a bus.
 
     `frames`: transmissions begun, among them `error_frames` that nobody accepted and `lost` that
-    the filter let vanish; dropped: never sent, their sender being off or its buffer full;
-    `overwritten`: never sent, newer content having taken their mailbox.
-    `busy_ns`: time taken by all of them with their intermissions, to the end of the latest.
-    `sent` and `longest_wait_ns` (release to end of frame) by identifier, without errors.
+    the filter let vanish; `dropped_...`, `overwritten`: never sent. `busy_ns`: time taken with
+    intermissions. `sent`, `longest_wait_ns` (release to end of frame): by identifier, without errors.
     """
 
     frames: int = 0
@@ -102,9 +95,8 @@ _Ready = tuple[int, int, int, Frame, str, int]
 class BusModel:
     """A CAN bus in simulated time; the module docstring states the model.
 
-    bitrate: bit/s, such that a bit lasts a whole number of ns. capacity: frames that a sender may
-    have waiting, further ones are dropped and counted; None for no limit. mailboxes: identifiers of
-    which only the newest content of a sender waits.
+    bitrate: bit/s, a bit lasting whole ns. capacity: frames that a sender may have waiting, None for no
+    limit. mailboxes: identifiers of which only the newest content of a sender waits.
     """
 
     def __init__(
@@ -151,10 +143,7 @@ class BusModel:
         return (self.statistics.busy_ns - still_to_come) / self.now_ns
 
     def queue(self, release_ns: int, frame: Frame, sender: str) -> None:
-        """Hand over a frame that its sender releases at `release_ns`, now or later.
-
-        The caller has checked it: a classic 29-bit frame, not released in the past.
-        """
+        """Hand over a frame released at `release_ns`; checked: 29-bit, not released in the past."""
         if self._capacity is not None and self._waiting[sender] >= self._capacity:
             self.statistics.dropped_full += 1
             return
@@ -165,8 +154,7 @@ class BusModel:
     def advance(self, until_ns: int) -> list[BusFrame]:
         """Return all frames that arrive up to and at `until_ns`, in order of arrival.
 
-        The frame that starts at `until_ns` itself is chosen by the next call, when all frames
-        released at that instant are known.
+        The frame that starts at `until_ns` is chosen by the next call, when all released then are known.
         """
         self.now_ns = until_ns
         released_later, ready = self._released_later, self._ready

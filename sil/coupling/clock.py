@@ -12,10 +12,9 @@ NEVER_NS = (1 << 48) - 1
 
 
 def to_ns(seconds: float, name: str = "time") -> int:
-    """Return the whole nanosecond nearest to `seconds`.
+    """Return the whole nanosecond nearest to `seconds`, which `name` names in the message.
 
-    `name` names the value in the message.  Raises InputError for a value that is not finite, is
-    negative, or is beyond the range of the lockstep (78 h).
+    Raises InputError for a value that is not finite, negative, or beyond the lockstep's range (78 h).
     """
     if not math.isfinite(seconds) or seconds < 0.0:
         raise InputError(f"{name}: {seconds!r} s; expected a finite time, zero or more")

@@ -1,14 +1,13 @@
 """Faults of the bus and of its nodes, as a scenario states them.
 
-All happen in simulated time and draw from generators seeded by the scenario, so a run with faults
-repeats to the bit on every transport.
+All act in simulated time and draw from generators seeded by the scenario.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -21,7 +20,6 @@ from can_dbc.errors import InputError
 from can_dbc.frame import EDP_BIT, PAGE_BITS, Frame
 from sil.coupling.bus import BusFrame, ErrorFrame, Transmission
 from sil.coupling.clock import NEVER_NS, to_ns
-from sil.coupling.other_bit_rate import MisfitNode, Window
 
 if TYPE_CHECKING:
     MessageName = str
@@ -33,8 +31,18 @@ INTRUDER = "intruder"
 """Name of the node that sends the frames of `Intrusion` faults."""
 
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
-
 DelayTime = Annotated[float, Meta(ge=0.0, le=10.0)]
+
+
+class Window(NamedTuple):
+    """From one instant to before another, ns."""
+
+    start_ns: int
+    end_ns: int
+
+    def holds(self, instant_ns: int) -> bool:
+        """Return whether the instant is inside."""
+        return self.start_ns <= instant_ns < self.end_ns
 
 
 class _Fault(
@@ -108,8 +116,8 @@ class BusOff(_Fault, frozen=True, kw_only=True, tag="bus_off"):
 class OtherBitRate(_Fault, frozen=True, kw_only=True, tag="bit_rate"):
     """The node is set to another bit rate: it understands nobody, and nobody understands it.
 
-    Its error flags destroy the frames of others until it is error-passive, after 15 of them. Each of
-    its own frames ends in an error frame and is repeated; after 32 it is bus-off and stays silent.
+    Until error-passive (15 frames) its error flags destroy others' frames. Its own end in error
+    frames and are repeated; after 32 it is bus-off and stays silent.
     """
 
     node: NodeName
@@ -124,10 +132,7 @@ class Dead(_Fault, frozen=True, kw_only=True, tag="dead"):
 
 
 class Stalled(_Fault, frozen=True, kw_only=True, tag="stalled"):
-    """The node executes nothing until `end_s`, then goes on with its next regular event.
-
-    Frames that arrive meanwhile wait for it.
-    """
+    """The node executes nothing until `end_s`, then goes on; frames that arrive meanwhile wait for it."""
 
     node: FirmwareName
     """Node that stalls."""
@@ -169,26 +174,12 @@ class Sent(_Fault, frozen=True, kw_only=True, tag="sent"):
     """Its content, two hexadecimal digits a byte, at most 8 bytes."""
 
 
-BusFault = (
-    Loss
-    | DetectedCorruption
-    | UndetectedCorruption
-    | Delay
-    | FrozenCounter
-    | BusOff
-    | OtherBitRate
-    | Dead
-    | Stalled
-    | Babbling
-    | Replayed
-    | Spoofed
-    | Sent
-)
-"""Any fault that a scenario may state, by its `kind`."""
-
-
 Intrusion = Babbling | Replayed | Spoofed | Sent
 """Faults that put frames on the bus; `sil.nodes.simulated` has the node that sends them."""
+
+FrameFault = Loss | DetectedCorruption | UndetectedCorruption | Delay | FrozenCounter
+BusFault = FrameFault | BusOff | OtherBitRate | Dead | Stalled | Intrusion
+"""Any fault that a scenario may state, by its `kind`."""
 
 
 class _Selection:
@@ -244,11 +235,40 @@ class _Selection:
         return [d._replace(frame=_flipped(d.frame, fault.bits, draw)) for d in deliveries]
 
 
-class FaultPlan:
-    """All faults of one run, for the bus model and the coordinator.
+class MisfitNode:
+    """A node on another bit rate within a window of time, with its error counters.
 
-    `hits`: how often each fault hit (frame faults only).
+    Each error that a receiver flags adds 1 and then 8 to its counter; from 128 on it is error-passive
+    and disturbs no more. Each failed transmission adds 8 to a sender's; from 256 on it is bus-off
+    (ISO 11898-1). Assumptions: none of the frames that it receives or sends passes by chance; bus-off
+    is not recovered from.
     """
+
+    def __init__(self, node: str, window: Window) -> None:
+        self.node = node
+        self.acts = window.holds
+        self._receive_errors = self._send_errors = 0
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the node is bus-off."""
+        return self._send_errors >= 256
+
+    def verdict(self, transmission: Transmission) -> ErrorFrame | None:
+        """Return the error frame in which a transmission ends, None if it does not."""
+        if not self.acts(transmission.start_ns) or self.is_off:
+            return None
+        if transmission.sender == self.node:
+            self._send_errors += 8
+            return ErrorFrame(retransmit=not self.is_off)
+        if self._receive_errors >= 128:
+            return None
+        self._receive_errors += 1 + 8
+        return ErrorFrame()
+
+
+class FaultPlan:
+    """All faults of one run, for the bus model and the coordinator."""
 
     def __init__(self, faults: Sequence[BusFault], seed: int) -> None:
         """Take the faults.  Raises InputError naming one that is impossible."""
@@ -342,10 +362,8 @@ def window_of(fault: BusFault, name: str = "fault") -> Window:
     """Return when a fault acts.  Raises InputError, with its name, for an impossible time."""
     start_ns = to_ns(fault.start_s, f"{name}.start_s")
     if isinstance(fault, Sent) and fault.can_id & PAGE_BITS:
-        given = f"0x{fault.can_id:08X}"
-        raise InputError(
-            f"{name}.can_id: {given} is on data page 1 to 3; expected bits 24, 25 clear"
-        )
+        wrong = f"0x{fault.can_id:08X} is on data page 1 to 3; expected bits 24, 25 clear"
+        raise InputError(f"{name}.can_id: {wrong}")
     if fault.end_s is None:
         if isinstance(fault, Stalled):
             raise InputError(f"{name}.end_s: missing; expected a time, or the kind 'dead'")
@@ -356,9 +374,8 @@ def window_of(fault: BusFault, name: str = "fault") -> Window:
         raise InputError(f"{name}.end_s: one frame has no end; expected start_s alone")
     end_ns = to_ns(fault.end_s, f"{name}.end_s")
     if end_ns <= start_ns:
-        raise InputError(
-            f"{name}.end_s: {fault.end_s} s; expected later than start_s, {fault.start_s} s"
-        )
+        later = f"expected later than start_s, {fault.start_s} s"
+        raise InputError(f"{name}.end_s: {fault.end_s} s; {later}")
     return Window(start_ns, end_ns)
 
 

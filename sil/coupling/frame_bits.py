@@ -16,24 +16,19 @@ EOF_BITS = 7
 INTERMISSION_BITS = 3
 UNSTUFFED_BITS = 3 + EOF_BITS
 
-# A stuffing state is the length of the current run of equal bits (1 to 4) times two plus the bit;
-# state 0 is before the first bit.
-
-
-def _stuff_step(state: int, bit: int) -> tuple[int, int]:
-    """Return the state after one more bit of the frame, and the stuff bits it caused."""
-    run = (state >> 1) + 1 if state and state & 1 == bit else 1
-    if run == 5:
-        return 2 | bit ^ 1, 1
-    return run << 1 | bit, 0
-
 
 def _stuff_bits(state: int, word: int, bits: int) -> tuple[int, int]:
-    """Return the same for the lowest `bits` bits of a word, most significant first."""
+    """Return state and stuff bits after the lowest `bits` bits of a word, most significant first.
+
+    A state is the length of the current run of equal bits (1 to 4) times two plus the bit; 0 is before
+    the first bit.
+    """
     inserted = 0
     for position in range(bits - 1, -1, -1):
-        state, more = _stuff_step(state, word >> position & 1)
-        inserted += more
+        bit = word >> position & 1
+        run = (state >> 1) + 1 if state and state & 1 == bit else 1
+        inserted += run == 5
+        state = 2 | bit ^ 1 if run == 5 else run << 1 | bit
     return state, inserted
 
 
@@ -57,10 +52,9 @@ _CRC_BYTE = tuple(_crc_of_byte(byte) for byte in range(256))
 
 
 def crc15(bits: int, count: int) -> int:
-    """Return the CRC-15 of `count` bits, most significant first, starting from 0.
+    """Return the CRC-15 of `count` bits, most significant first, starting from 0 (Bosch CAN 2.0, 3.1.1).
 
     Generator x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1.
-    Source: Bosch CAN 2.0, 3.1.1.
     """
     crc = 0
     padded = (count + 7) // 8
@@ -93,9 +87,8 @@ def _after_header(can_id: int, length: int, extended: bool) -> tuple[int, int, i
 
 @lru_cache(maxsize=1 << 15)
 def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
-    """Return the bits of a data frame from start of frame to end of frame, stuff bits included.
+    """Return the bits of a data frame from start of frame to end of frame, without the intermission.
 
-    The intermission of `INTERMISSION_BITS` that must follow is not part of it.
     Raises ValueError for an identifier or a length that does not fit.
     """
     crc, state, inserted, plain = _after_header(can_id, len(data), extended)
@@ -119,9 +112,6 @@ def longest_frame_bits(length: int, extended: bool = True) -> int:
 
 
 def shortest_frame_bits(length: int, extended: bool = True) -> int:
-    """Return the bits of a frame of a length without any stuff bit.
-
-    Raises ValueError for a length that does not fit.
-    """
+    """Return the bits of a frame without any stuff bit. Raises ValueError for a wrong length."""
     _, count = header_bits(0, length, extended)
     return count + 8 * length + 15 + UNSTUFFED_BITS

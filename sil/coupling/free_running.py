@@ -1,8 +1,7 @@
 """Nodes that run by the wall clock, on a bus that carries their messages and nothing else.
 
-Nobody grants time: a node steps at its own events by its own clock and sends a frame when it is due.
-It may start before or after the others and misses what was sent before. So a run cannot be repeated
-to the bit; the participants are those of a lockstep run and read no clock themselves.
+A node steps at its own events by its own clock and sends a frame when it is due; it may start before
+or after the others. Such a run cannot be repeated to the bit; its participants are those of a lockstep run.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ import can
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import MAX_ID, Frame
 from sil.coupling.clock import NS_PER_S
-from sil.coupling.real_time import Lateness, Pacer
+from sil.coupling.real_time import Pacer
 from sil.coupling.transports.channel import Participant, silent
 from sil.coupling.transports.local import LocalBus, RunEnded
 
 STALE_NS = 100_000_000
-"""A node that is later than this stood still. Up to then it makes up for its steps, so that a busy
-machine delays frames and loses none; frames that were due longer ago are not sent."""
+"""A node that is later than this stood still and does not make up for its steps; frames that were due
+longer ago are not sent."""
 
 
 def open_bus(
@@ -40,9 +39,8 @@ def open_bus(
 ) -> can.BusABC:
     """Open a bus for a free-running node: `local:NAME`, waiting for it, or a CAN interface.
 
-    `INTERFACE:CHANNEL`, as `pcan:PCAN_USBBUS1`, is one of python-can's, whose configuration file may
-    hold further settings of it. `receives`: identifiers (29 bits) that the bus filters, where it can; None for all.
-    `bitrate`: in bit/s, set where the interface takes it.
+    `INTERFACE:CHANNEL`, as `pcan:PCAN_USBBUS1`, is one of python-can's. `receives`: identifiers (29
+    bits) that the bus filters, where it can; None for all. `bitrate`: bit/s, set where it can be.
     Raises InputError for a channel that cannot exist, RunError when no local bus opens in time.
     """
     kind, colon, name = channel.partition(":")
@@ -85,9 +83,8 @@ def frame_of(message: can.Message) -> Frame | None:
 class FreeNode:
     """One participant on a bus, driven by the wall clock.
 
-    A frame that arrived at or before an event counts for it, by the time stamp of the bus, also when
-    the node is late. One that is later than `STALE_NS` has missed the steps in between; the plant
-    cannot stand still and, with `catches_up`, makes up for them without sending.
+    A frame that arrived at or before an event counts for it, by the bus's time stamp. A node later than
+    `STALE_NS` has missed steps; the plant, with `catches_up`, makes up for them without sending.
     """
 
     def __init__(
@@ -105,7 +102,7 @@ class FreeNode:
         self._catches_up = catches_up
         self._receives = receives
         self._on_start = on_start
-        self._pacer = Pacer()
+        self.pacer = Pacer()
         self._zero_ns = 0
         self._before_ns = 0
         self._inbox: deque[tuple[int, Frame]] = deque()
@@ -121,7 +118,7 @@ class FreeNode:
         """
         next_ns = self._participant.start()
         end_ns = None if duration_s is None else next_ns + round(duration_s * NS_PER_S)
-        self._pacer.wait(next_ns, time.sleep)
+        self.pacer.wait(next_ns, time.sleep)
         self._zero_ns = time.time_ns() - next_ns
         self._on_start(self._zero_ns)
         period_ns = 0
@@ -129,9 +126,9 @@ class FreeNode:
         try:
             while not stop.is_set() and (end_ns is None or next_ns < end_ns):
                 due_ns = self._due[0][0] if self._due else next_ns
-                self._pacer.wait(min(due_ns, next_ns), time.sleep)
+                self.pacer.wait(min(due_ns, next_ns), time.sleep)
                 self._send_due()
-                now_ns = self._pacer.now_ns()
+                now_ns = self.pacer.now_ns()
                 if now_ns < next_ns:  # frames of the last step were due
                     continue
                 if not self._catches_up and period_ns and now_ns - next_ns > STALE_NS:
@@ -147,13 +144,9 @@ class FreeNode:
         except RunEnded:
             return
 
-    def lateness(self) -> Lateness:
-        """Return how late the node's events were."""
-        return self._pacer.lateness()
-
     def report(self) -> str:
         """Return lateness and counts in one line."""
-        late = self.lateness()
+        late = self.pacer.lateness()
         figures = [f"{n} {name}" for name, n in sorted(self.counts.items())]
         return (
             f"{self._participant.name}: {', '.join(figures) or 'nothing sent'}; late by p50 "
@@ -169,7 +162,7 @@ class FreeNode:
         return arrivals
 
     def _send_due(self) -> None:
-        now_ns = self._pacer.now_ns()
+        now_ns = self.pacer.now_ns()
         while self._due and self._due[0][0] <= now_ns:
             release_ns, _, frame = heappop(self._due)
             if now_ns - release_ns > STALE_NS:
@@ -185,7 +178,7 @@ class FreeNode:
 
     def _receive(self) -> None:
         """Take what has arrived."""
-        now_ns = self._pacer.now_ns()
+        now_ns = self.pacer.now_ns()
         try:
             while (message := self._bus.recv(0.0)) is not None:
                 if message.is_error_frame:

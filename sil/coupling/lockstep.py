@@ -34,13 +34,10 @@ class RunSummary:
 class Lockstep:
     """Runs participants over any channels in simulated time.
 
-    Order of a step at instant T, the earliest next event: the bus delivers what arrived up to and
-    at T; everybody with an event at T is granted T; the frames they release enter the bus in the
-    order of `TURN_ORDER`, whoever answered first.  At the end of the run everybody is granted the
-    end.  What happens does not depend on the wall clock, nor on the channels.
-
-    Use as a context manager: leaving it ends participants and channels; before the end of the run,
-    as aborted.
+    A step at instant T, the earliest next event: the bus delivers what arrived up to and at T;
+    everybody with an event at T is granted T; their frames enter the bus in the order of `TURN_ORDER`.
+    At the end everybody is granted the end. Neither the wall clock nor the channels change the result.
+    A context manager: leaving it ends participants and channels; before the end, as aborted.
     """
 
     def __init__(
@@ -54,10 +51,7 @@ class Lockstep:
         pacer: Pacer | None = None,
         order: Sequence[str] = TURN_ORDER,
     ) -> None:
-        """Prepare a run; `record` receives the deliveries of each step before the participants.
-
-        Each participant is on one channel, and in `order`.
-        """
+        """Prepare a run; `record` receives each step's deliveries. Each participant is on one channel."""
         names = [name for channel in channels for name in channel.names]
         self.names = tuple(name for name in order if name in names)
         self.now_ns = 0
@@ -105,14 +99,13 @@ class Lockstep:
         """Wait for all participants.  Raises ParticipantLost when one does not come in time."""
         self._started = True
         for channel in self._channels:
-            self._next.update(channel.start(self.end_ns))
-        for name, event_ns in self._next.items():
-            self._next[name] = self._running_event(name, event_ns, -1, 0)
+            for name, event_ns in channel.start(self.end_ns).items():
+                self._next[name] = self._running_event(name, event_ns, -1, 0)
 
     def run(self) -> RunSummary:
         """Run from the present instant to the end.  Raises ParticipantLost, and RunError of the bus."""
         self.advance(self.end_ns - 1)
-        self._timed_step(self.end_ns, [name for name in self.names if name in self._next])
+        self._step(self.end_ns, [name for name in self.names if name in self._next])
         self._finished = True
         lateness = self._pacer.lateness() if self._pacer is not None else None
         return RunSummary(self._turns, self._frames, self._wall_s, lateness)
@@ -122,20 +115,18 @@ class Lockstep:
         if not self._started:
             self.start()
         while (now_ns := min(self._next.values(), default=NEVER_NS)) <= until_ns:
-            due = [name for name in self.names if self._next.get(name) == now_ns]
-            self._timed_step(now_ns, due)
-
-    def _timed_step(self, now_ns: int, due: Sequence[str]) -> None:
-        try:
-            started = time.perf_counter()
-            self._step(now_ns, due)
-            self._wall_s += time.perf_counter() - started
-        except ParticipantLost as lost:
-            raise lost.at(to_seconds(now_ns)) from lost.__cause__
+            self._step(now_ns, [name for name in self.names if self._next.get(name) == now_ns])
 
     def _step(self, now_ns: int, due: Sequence[str]) -> None:
-        deliveries = self._bus.advance(now_ns)
-        if deliveries:
+        started = time.perf_counter()
+        try:
+            self._grant(now_ns, due)
+        except ParticipantLost as lost:
+            raise lost.at(to_seconds(now_ns)) from lost.__cause__
+        self._wall_s += time.perf_counter() - started
+
+    def _grant(self, now_ns: int, due: Sequence[str]) -> None:
+        if deliveries := self._bus.advance(now_ns):
             self._frames += len(deliveries)
             self._record(deliveries)
             self._deliver(deliveries)

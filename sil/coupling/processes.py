@@ -27,11 +27,10 @@ except OSError as error:
 
 
 class ChildProcess:
-    """One participant in a process of its own, which never outlives the one that started it.
+    """One participant in a process of its own, which never outlives the thread that started it.
 
-    The kernel kills it when the thread that started it ends, however that happens.  It is in a
-    session of its own: an interrupt typed at the terminal reaches the coordinator alone, which then
-    ends its children.  The last line that the child prints is the reason given when it ends early.
+    It is in a session of its own: an interrupt typed at the terminal reaches the coordinator alone,
+    which ends its children. The last line that the child prints is the reason when it ends early.
     """
 
     def __init__(self, name: str, command: Sequence[str]) -> None:
@@ -95,23 +94,17 @@ def sharing_one_core(pids: Sequence[int]) -> Iterator[int | None]:
     """Keep the calling thread and these processes on one core; yield its number.
 
     Processes in lockstep run one at a time, and to wake another core takes several times as long as
-    to pass a turn on the same one.  Yields None, and changes nothing, if there is only one core or
-    affinity may not be set.  The affinity of the calling thread is restored.
+    to pass a turn on the same one.  Yields None if there is only one core or affinity may not be set.
     """
     allowed = os.sched_getaffinity(0)
+    core: int = ctypes.CDLL(None).sched_getcpu()
     try:
-        yield _pinned((0, *pids), allowed)
+        is_free = len(allowed) > 1 and core in allowed
+        try:
+            for pid in (0, *pids) if is_free else ():
+                os.sched_setaffinity(pid, {core})
+        except (PermissionError, ProcessLookupError):  # one is not ours, or has ended
+            is_free = False
+        yield core if is_free else None
     finally:
         os.sched_setaffinity(0, allowed)
-
-
-def _pinned(pids: Sequence[int], allowed: set[int]) -> int | None:
-    core: int = ctypes.CDLL(None).sched_getcpu()
-    if len(allowed) < 2 or core not in allowed:
-        return None
-    try:
-        for pid in pids:
-            os.sched_setaffinity(pid, {core})
-    except (PermissionError, ProcessLookupError):  # one is not ours, or has ended
-        return None
-    return core

@@ -15,8 +15,7 @@ from sil.coupling.clock import to_seconds
 class Lateness:
     """How late the simulated instants were, in seconds of the wall clock.
 
-    `instants`: number awaited; `overruns`: number already late when their turn came.  The quantiles
-    are over all instants, rounded up to two significant digits.
+    `instants`: number awaited; `overruns`: late when their turn came. Quantiles are rounded up to two digits.
     """
 
     factor: float
@@ -48,8 +47,7 @@ def quantile(counts: Mapping[int, int], share: float) -> int:
 class Pacer:
     """Delays simulated instants until the wall clock has reached them.
 
-    The schedule is absolute: wall = origin + (simulated - simulated origin) / factor, so that one
-    late instant does not shift those after it.
+    The schedule is absolute: wall = origin + (simulated - simulated origin) / factor.
     """
 
     def __init__(

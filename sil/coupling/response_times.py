@@ -37,10 +37,7 @@ MAX_STEPS = 20_000
 
 @dataclass(frozen=True, slots=True)
 class PeriodicMessage:
-    """A message of the analysis; times in ns.
-
-    `jitter_ns`: how much later than strictly periodic its frames may be released.
-    """
+    """A message of the analysis; times in ns. `jitter_ns`: greatest lateness against strictly periodic."""
 
     name: str
     can_id: int
@@ -59,10 +56,9 @@ class PeriodicMessage:
 
 @dataclass(frozen=True, slots=True)
 class ResponseTime:
-    """Result for one message; C, B and R of the analysis, times in ns.
+    """C, B and R of one message, times in ns.
 
-    `response_ns` counts from the start of the period (jitter included) to the end of the
-    intermission.
+    `response_ns`: from the start of the period, jitter included, to the end of the intermission.
     """
 
     message: PeriodicMessage
@@ -87,10 +83,7 @@ def contract_messages(
     truck = {kind.__name__ for kind in TRUCK}
     return tuple(
         PeriodicMessage(
-            spec.name,
-            spec.can_id,
-            periods.get(spec.name, spec.cycle_ns),
-            spec.length,
+            *(spec.name, spec.can_id, periods.get(spec.name, spec.cycle_ns), spec.length),
             jitters.get(spec.name, spec.jitter_ns),
         )
         for spec in contract().values()
@@ -103,30 +96,24 @@ def database_messages(database: Database, source: str = "DBC") -> tuple[Periodic
 
     `source`: its name in messages. Raises InputError when there is none or one is longer than a classic frame.
     """
-    messages = []
-    for message in database.messages:
-        if not message.cycle_time:
-            continue
+    periodic = [message for message in database.messages if message.cycle_time]
+    for message in periodic:
         if message.length > 8:
             raise InputError(
                 f"{source}: {message.name}: {message.length} bytes; "
                 "expected at most 8, the analysis covers classic CAN only"
             )
-        messages.append(
-            PeriodicMessage(
-                message.name,
-                message.frame_id,
-                round(message.cycle_time * 1e6),
-                message.length,
-                extended=message.is_extended_frame,
-            )
-        )
-    if not messages:
+    if not periodic:
         raise InputError(
             f"{source}: no message has a cycle time (GenMsgCycleTime); expected at least one, or a log "
             "of the bus (--log) to measure them from"
         )
-    return tuple(messages)
+    return tuple(
+        PeriodicMessage(
+            *(x.name, x.frame_id, round(x.cycle_time * 1e6), x.length), extended=x.is_extended_frame
+        )
+        for x in periodic
+    )
 
 
 def transmission_ns(message: PeriodicMessage, bitrate: int) -> int:
@@ -147,19 +134,6 @@ def response_times(messages: Sequence[PeriodicMessage], bitrate: int) -> tuple[R
     negative jitter. The module docstring has the equations.
     """
     ranked = sorted(messages, key=lambda message: message.rank)
-    _refuse_malformed(ranked)
-    total = utilisation(ranked, bitrate)
-    if total > 1:
-        raise InputError(
-            f"bus: worst-case load {float(total):.1%} at {bitrate} bit/s: response times are "
-            "unbounded; expected at most 100 %, so raise the bit rate or the periods"
-        )
-    bit_ns = BusModel(bitrate).bit_ns
-    costs = [transmission_ns(message, bitrate) for message in ranked]
-    return tuple(_response_time(ranked, costs, index, bit_ns) for index in range(len(ranked)))
-
-
-def _refuse_malformed(ranked: Sequence[PeriodicMessage]) -> None:
     for message in ranked:
         if message.period_ns <= 0 or message.jitter_ns < 0:
             raise InputError(
@@ -172,6 +146,15 @@ def _refuse_malformed(ranked: Sequence[PeriodicMessage]) -> None:
                 f"bus: {first.name} and {second.name} share identifier {first.can_id:#x}; "
                 "expected different identifiers"
             )
+    total = utilisation(ranked, bitrate)
+    if total > 1:
+        raise InputError(
+            f"bus: worst-case load {float(total):.1%} at {bitrate} bit/s: response times are "
+            "unbounded; expected at most 100 %, so raise the bit rate or the periods"
+        )
+    bit_ns = BusModel(bitrate).bit_ns
+    costs = [transmission_ns(message, bitrate) for message in ranked]
+    return tuple(_response_time(ranked, costs, index, bit_ns) for index in range(len(ranked)))
 
 
 def _response_time(
@@ -201,10 +184,9 @@ def _response_time(
     queueing = blocking
     for instance in range(instances):
         queueing = max(queueing, blocking + instance * cost)
-        while True:
-            longer = blocking + instance * cost + interference(queueing, higher, bit_ns)
-            if longer == queueing:
-                break
+        while (
+            longer := blocking + instance * cost + interference(queueing, higher, bit_ns)
+        ) != queueing:
             queueing = longer
         response = max(response, message.jitter_ns + queueing - instance * message.period_ns + cost)
     return ResponseTime(message, cost, blocking, response)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import fcntl
 import os
@@ -11,7 +10,7 @@ import socket
 import stat
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from can_dbc.errors import InputError, RunError
@@ -19,10 +18,9 @@ from sil.coupling.transports.channel import silent
 
 
 def folder() -> Path:
-    """Return the folder of the sockets, made if missing, for this user only.
+    """Return `$XDG_RUNTIME_DIR/opc4`, or `opc4-UID` in the folder for temporary files, made if missing.
 
-    `$XDG_RUNTIME_DIR/opc4`, or `opc4-UID` in the folder for temporary files.  Raises RunError when
-    that belongs to somebody else or is open to others.
+    Raises RunError when it belongs to somebody else or is open to others.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     path = Path(runtime, "opc4") if runtime else Path(tempfile.gettempdir(), f"opc4-{os.getuid()}")
@@ -68,21 +66,24 @@ def listen(channel: str) -> tuple[socket.socket, Path]:
     """
     path = socket_path(channel)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    lock = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        with _folder_locked(path.parent):  # two hubs that start at once must not both unlink
-            if _listened_to(path):
-                raise RunError(f"channel {channel!r}: another run uses it ({path})")
-            if path.is_socket():
-                path.unlink()
-            listener.bind(str(path))
-            path.chmod(0o600)
-            listener.listen(64)
-            listener.setblocking(False)
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two hubs that start at once must not both unlink
+        if _listened_to(path):
+            raise RunError(f"channel {channel!r}: another run uses it ({path})")
+        if path.is_socket():
+            path.unlink()
+        listener.bind(str(path))
+        path.chmod(0o600)
+        listener.listen(64)
+        listener.setblocking(False)
     except (OSError, RunError) as error:
         listener.close()
         if isinstance(error, RunError):
             raise
         raise RunError(f"channel {channel!r}: {path}: {error.strerror}") from None
+    finally:
+        os.close(lock)
     return listener, path
 
 
@@ -116,20 +117,7 @@ def connect(
         time.sleep(0.02)
 
 
-@contextlib.contextmanager
-def _folder_locked(path: Path) -> Iterator[None]:
-    lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(lock)
-
-
 def _listened_to(path: Path) -> bool:
-    probe = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    probe.setblocking(False)
-    try:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+        probe.setblocking(False)
         return probe.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: too busy to accept
-    finally:
-        probe.close()

@@ -45,10 +45,9 @@ class ParticipantLost(RunError):
 
 @dataclass(frozen=True)
 class Timeouts:
-    """How long the coordinator waits, in seconds of the wall clock.
+    """How long the coordinator waits, in s of the wall clock.
 
-    `start_s`: for all participants to join (the first start on a machine compiles the plant);
-    `answer_s`: for the answer to a grant; `close_s`: for processes to end after Stop.
+    For all participants to join, for the answer to a grant, for processes to end after Stop.
     """
 
     start_s: float = 60.0
@@ -57,10 +56,7 @@ class Timeouts:
 
 
 class Participant(Protocol):
-    """A node of the co-simulation: plant, controller, driver and others.
-
-    It is granted time at its events, which its configuration determines, and at the end of the run.
-    """
+    """A node of the co-simulation, granted time at its events and at the end of the run."""
 
     @property
     def name(self) -> str:
@@ -70,18 +66,14 @@ class Participant(Protocol):
         """Return the simulated instant of the first event, in ns."""
 
     def advance(self, until_ns: int, deliveries: Received) -> Turn:
-        """Advance to `until_ns`, given the frames that arrived since the last grant.
-
-        `deliveries` holds what others sent; a frame that arrives exactly at `until_ns` is among
-        them.
-        """
+        """Advance to `until_ns`; `deliveries`: what others sent and arrived since the last grant, up to it."""
 
     def close(self) -> None:
         """Release files and the like; called once, also after a run that failed."""
 
 
 class Channel(ABC):
-    """Carries frames and grants to some of the participants, whose names are `names`.
+    """Carries frames and grants to the participants `names`.
 
     A turn is begun and ended by two calls, so that participants in other processes work in parallel.
     """
@@ -98,10 +90,7 @@ class Channel(ABC):
 
     @abstractmethod
     def start(self, end_ns: int) -> dict[str, int]:
-        """Wait for the participants; return the instant of each one's first event, ns.
-
-        Raises ParticipantLost when one does not join in time.
-        """
+        """Return each participant's first event, ns. Raises ParticipantLost when one is not in time."""
 
     @abstractmethod
     def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
@@ -156,18 +145,15 @@ class InProcess(Channel):
         for _released_ns, arrival_ns, sender, frame in deliveries:
             names = receivers.get(frame.can_id)
             if names is None:
-                names = receivers[frame.can_id] = self._receivers_of(frame.can_id)
+                names = receivers[frame.can_id] = tuple(
+                    name
+                    for name in self._inboxes
+                    if name not in self._retired
+                    and (name not in self._received or frame.can_id in self._received[name])
+                )
             for name in names:
                 if name != sender and name not in bus_off:
                     inboxes[name].append((arrival_ns, frame))
-
-    def _receivers_of(self, can_id: int) -> tuple[str, ...]:
-        return tuple(
-            name
-            for name in self._inboxes
-            if name not in self._retired
-            and (name not in self._received or can_id in self._received[name])
-        )
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Run the turns.  Raises ParticipantLost for one that fails; InputError and RunError pass."""

@@ -21,11 +21,10 @@ _FLUSH_RECORDS = 512
 
 
 class Hub(RemoteChannel):
-    """A `Channel` over a Unix socket, to participants and to monitors.
+    """A `Channel` over a Unix socket, to participants (connections that send Hello) and to monitors.
 
-    A connection that sends Hello is a participant.  Every other one is a monitor: it may come and go
-    at any time and receives each delivered frame with its BusTime.  A participant receives all
-    frames since its last grant in one datagram with the next grant.
+    A monitor may come and go and receives each delivered frame with its BusTime. A participant
+    receives all frames since its last grant in one datagram with the next grant.
     """
 
     def _open(self, channel: str) -> None:

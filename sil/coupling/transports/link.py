@@ -31,10 +31,7 @@ class LocalLink:
     def __init__(
         self, channel: str, start_timeout_s: float, say: Callable[[str], None] = silent
     ) -> None:
-        """Connect, waiting for the hub; `say` takes the message that it waits.
-
-        Raises InputError for a name that no channel can have, RunError when no hub comes in time.
-        """
+        """Connect, waiting for the hub, as `address.connect` does."""
         self._path = address.socket_path(channel)
         self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES)
         self._socket = address.connect(channel, start_timeout_s, say)
@@ -190,11 +187,9 @@ class Session:
         raise RunError(f"{self.name}: no run answered within {timeout_s:g} s")
 
     def next_grant(self) -> tuple[int, Received] | None:
-        """Wait for a grant; return its instant (ns) and the frames since the last one, or None.
+        """Wait for a grant; return its instant (ns) and the frames since the last one.
 
-        None is the end of the run: `ending` says how it ended.
-
-        Raises RunError when the coordinator is gone or frames were lost on the way.
+        None at the end of the run; `ending` says how. Raises RunError for a coordinator that is gone, or lost frames.
         """
         while True:
             while self._records:
@@ -297,10 +292,9 @@ def take_part(
 ) -> None:
     """Run one participant from Hello to Stop; the main loop of `opc4 node`.
 
-    `scenario`: the number of the scenario, or 0 for any.  `say` takes the message that no run has
-    answered yet.  The participant and the link are closed at the end in any case.
-    Raises InputError when the coordinator refuses the participant, RunError when the coordinator
-    dies or ends the run early, and what the participant raises.
+    `scenario`: its number, or 0 for any. `say` takes the message that no run has answered yet.
+    Participant and link are closed in any case. Raises InputError when refused, RunError when the
+    coordinator dies or ends the run early, and what the participant raises.
     """
     with contextlib.ExitStack() as closing:
         closing.callback(link.close)

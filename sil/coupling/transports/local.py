@@ -34,9 +34,8 @@ class RunEnded(can.CanOperationError):
 class LocalBus(can.BusABC):
     """The local bus of a run, for any program.
 
-    In lockstep a listener: frames carry the simulated time of their arrival, and sending is refused,
-    since only the participants of a run send. On a free-running bus everybody sends, and times are
-    seconds since 1970.
+    In lockstep a listener: times are simulated, and sending is refused. On a free-running bus everybody
+    sends, and times are s since 1970.
     """
 
     def __init__(

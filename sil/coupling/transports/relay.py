@@ -22,9 +22,8 @@ def epoch_ns(stamp: int, now_ns: int) -> int:
 class Relay(Server):
     """A hub without a run of its own, in a thread; `close` ends it.
 
-    It greets each connection with Start, takes frames from all of them, and passes each one on with
-    its BusTime, the low 48 bits of ns since 1970. A sender receives its own frames if it asked so by
-    Monitor. There is neither arbitration nor a bit rate: a frame arrives at once.
+    It greets each connection with Start and passes each frame on at once with its BusTime, the low 48
+    bits of ns since 1970. A sender receives its own frames if it asked so by Monitor.
     """
 
     def __init__(self, channel: str) -> None:

@@ -107,10 +107,8 @@ class RemoteChannel(Channel, Server):
     ) -> None:
         """Open the channel: the name of a local bus, or of a CAN interface.
 
-        `scenario`: 32 bits that distinguish scenarios; 0 joins with any.  `say` takes messages for
-        the user while the run waits.  Once all have joined, this thread and the processes spawned
-        here are kept on one core.
-        Raises RunError when another run uses it, InputError when there can be no such channel.
+        `scenario`: 32 bits that distinguish scenarios; 0 joins with any.  `say` takes messages while the
+        run waits. Raises RunError when another run uses it, InputError when there can be no such channel.
         """
         Channel.__init__(self, names)
         Server.__init__(self)
@@ -200,8 +198,7 @@ class RemoteChannel(Channel, Server):
             deadline = time.monotonic() + (0.0 if aborted else self._timeouts.close_s)
             # A participant closes its connection once its files are complete.
             while any(c.backlog or c.participant for c in self._connections.values()):
-                left = deadline - time.monotonic()
-                if left <= 0.0:
+                if (left := deadline - time.monotonic()) <= 0.0:
                     break
                 self._pump(left)
         finally:
@@ -221,20 +218,15 @@ class RemoteChannel(Channel, Server):
         return [peer.child for peer in self._by_name.values() if peer.child is not None]
 
     def _await_answer(self, peer: Peer, deadline: float) -> Turn:
-        """Wait until the participant is done.
-
-        Raises ParticipantLost when it sends nothing until the deadline, or later for as long again.
-        """
+        """Wait until the participant is done; lost if silent to the deadline, or later as long again."""
         offered = 0
         while peer.done is None:
             left = deadline - time.monotonic()
             self._pump(max(0.0, left))
             if left <= 0.0 and peer.done is None:
                 if len(peer.frames) <= offered:
-                    raise ParticipantLost(
-                        peer.name,
-                        f"did not answer within {self._timeouts.answer_s:g} s: it stalled",
-                    )
+                    what = f"did not answer within {self._timeouts.answer_s:g} s: it stalled"
+                    raise ParticipantLost(peer.name, what)
                 offered = len(peer.frames)
                 deadline = time.monotonic() + self._timeouts.answer_s
         frames, peer.frames = peer.frames, []
@@ -257,10 +249,10 @@ class RemoteChannel(Channel, Server):
             peer.nonce = nonce
             return peer, wire.control(Kind.WELCOME, peer.number, wire.VERSION, nonce)
         number = control.participant
-        names = (name for name, its_number in wire.PARTICIPANTS.items() if its_number == number)
-        name = next(names, f"participant number {number}")
+        names = {number: name for name, number in wire.PARTICIPANTS.items()}
+        name = names.get(number, f"participant number {number}")
         self.warn(f"a {name} was refused: {wire.reason(refusal)}")
-        return None, wire.control(Kind.REFUSED, control.participant, refusal, nonce)
+        return None, wire.control(Kind.REFUSED, number, refusal, nonce)
 
     def _gone(self, connection: Connection) -> None:
         if connection.participant is not None:

@@ -41,7 +41,6 @@ class CanSocket:
     def __init__(self, interface: str, filters: Sequence[tuple[int, int]]) -> None:
         """Open it.  Raises InputError when there is no such CAN interface, or it is down."""
         self.interface = interface
-        self._lost = 0
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:
@@ -73,26 +72,24 @@ class CanSocket:
     def send(self, records: bytes) -> None:
         """Send the records, one frame each.  Raises RunError when the interface takes none."""
         for start in range(0, len(records), wire.RECORD_BYTES):
-            self._send_one(records[start : start + wire.RECORD_BYTES])
-
-    def _send_one(self, record: bytes) -> None:
-        deadline = None
-        while True:
-            try:
-                self._socket.send(record)
-                return
-            except OSError as error:
-                if error.errno not in (errno.ENOBUFS, errno.EAGAIN):
-                    raise RunError(f"channel {self.interface!r}: {error.strerror}") from None
-                # ENOBUFS: the interface's queue is full; poll does not report when that changes
-                now = time.monotonic()
-                deadline = deadline or now + _FULL_QUEUE_WAIT_S
-                if now > deadline:
-                    raise RunError(
-                        f"channel {self.interface!r}: took no frame for "
-                        f"{_FULL_QUEUE_WAIT_S:g} s ({error.strerror})"
-                    ) from None
+            deadline = time.monotonic() + _FULL_QUEUE_WAIT_S
+            while not self._sent(records[start : start + wire.RECORD_BYTES], deadline):
                 time.sleep(0.0005)
+
+    def _sent(self, record: bytes, deadline: float) -> bool:
+        """Send a record; return whether there was room in the interface's queue, which poll does not report."""
+        try:
+            self._socket.send(record)
+        except OSError as error:
+            if error.errno not in (errno.ENOBUFS, errno.EAGAIN):
+                raise RunError(f"channel {self.interface!r}: {error.strerror}") from None
+            if time.monotonic() > deadline:
+                raise RunError(
+                    f"channel {self.interface!r}: took no frame for "
+                    f"{_FULL_QUEUE_WAIT_S:g} s ({error.strerror})"
+                ) from None
+            return False
+        return True
 
     def receive(self) -> tuple[int, bytes] | None:
         """Return identifier and data of the next frame, or None when none waits.
@@ -106,13 +103,10 @@ class CanSocket:
         except OSError as error:
             raise RunError(f"channel {self.interface!r}: {error.strerror}") from None
         for level, kind, payload in ancillary:
-            if level == socket.SOL_SOCKET and kind == _SO_RXQ_OVFL:
-                lost = int.from_bytes(payload, "little")
-                if lost > self._lost:
-                    raise RunError(
-                        f"channel {self.interface!r}: {lost - self._lost} frames were lost, "
-                        "the receive buffer overflowed"
-                    )
+            is_count = level == socket.SOL_SOCKET and kind == _SO_RXQ_OVFL
+            if is_count and (lost := int.from_bytes(payload, "little")):
+                what = f"{lost} frames were lost, the receive buffer overflowed"
+                raise RunError(f"channel {self.interface!r}: {what}")
         flagged_id, length, payload = SOCKETCAN_FRAME.unpack(record)
         return flagged_id & MAX_ID, payload[:length]
 
@@ -129,10 +123,9 @@ def lifeline_address(interface: str) -> str:
 class SocketCan(RemoteChannel):
     """A `Channel` over a SocketCAN interface.
 
-    Everything is broadcast, so participants of one instant take their turns one after the other.
-    Frames of programs outside the run are ignored.  An abstract Unix socket refuses a second
-    coordinator, and shows at once when a participant connected to it (its lifeline) dies; the death
-    of one without such a connection is noticed after `Timeouts.answer_s`.
+    Everything is broadcast, so participants of one instant take turns one after the other. An abstract
+    Unix socket refuses a second coordinator and shows when a participant connected to it dies; the
+    death of another is noticed after `Timeouts.answer_s`.
     """
 
     def _open(self, channel: str) -> None:
@@ -181,12 +174,9 @@ class SocketCan(RemoteChannel):
                 self._can.send(wire.control(Kind.SYNC, peer.number))
                 deadline = time.monotonic() + self._timeouts.answer_s
                 while peer.unread:
-                    left = deadline - time.monotonic()
-                    if left <= 0.0:
-                        raise ParticipantLost(
-                            peer.name,
-                            f"did not read within {self._timeouts.answer_s:g} s: it stalled",
-                        )
+                    if (left := deadline - time.monotonic()) <= 0.0:
+                        what = f"did not read within {self._timeouts.answer_s:g} s: it stalled"
+                        raise ParticipantLost(peer.name, what)
                     self._pump(left)
 
     def _send(self, records: bytes, *peers: Peer) -> None:

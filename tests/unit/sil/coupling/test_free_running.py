@@ -109,7 +109,7 @@ def test_a_late_node_counts_frames_by_their_time_and_makes_up_for_its_steps(wall
     node = ran(unit, bus)
     assert unit.steps[1:6] == [(10, []), (20, [1]), (30, [2]), (40, []), (50, [3])]
     assert bus.sent[:6] == [1, 45, 45, 45, 45, 51] and "steps missed" not in node.counts
-    assert node.lateness().max_s == pytest.approx(0.025)
+    assert node.pacer.lateness().max_s == pytest.approx(0.025)
 
 
 def test_one_that_stood_still_has_missed_its_steps(wall: Wall) -> None:
