@@ -157,8 +157,7 @@ class RecordedPlant:
 def make_participant(name: str, loaded: Loaded, folder: Path | None) -> Participant:
     """Return one participant of a scenario, its clock as the scenario says.
 
-    Plant and firmware in C record into `folder`, None for no records of the latter; the plant's clock
-    is simulated time. Raises InputError for an
+    Plant and firmware in C record into `folder`; None: no records of the latter. Raises InputError for an
     unknown name, or if the participant refuses its settings.
     """
     participant = _on_time(name, loaded, folder)
@@ -224,12 +223,13 @@ def warm_up(loaded: Loaded) -> None:
 @functools.cache
 def received() -> dict[str, frozenset[int]]:
     """Return the identifiers that each participant of the DBC receives, by its name."""
-    nodes: dict[str, set[str]] = {}
-    for node, participant in PARTICIPANT.items():
-        nodes.setdefault(participant, set()).add(node)
     return {
-        name: frozenset(s.can_id for s in contract().values() if own_nodes & s.receivers)
-        for name, own_nodes in nodes.items()
+        name: frozenset(
+            spec.can_id
+            for spec in contract().values()
+            if name in {PARTICIPANT.get(node) for node in spec.receivers}
+        )
+        for name in PARTICIPANT.values()
     }
 
 
@@ -245,21 +245,15 @@ def participant_names(scenario: Scenario) -> tuple[str, ...]:
     return tuple(names)
 
 
-def mailboxes(scenario: Scenario) -> frozenset[int]:
-    """Return the identifiers whose newer content overwrites what still waits: all of the contract."""
-    if not scenario.bus.mailboxes:
-        return frozenset()
-    return frozenset(spec.can_id for spec in contract().values())
-
-
 def make_bus(scenario: Scenario, plan: FaultPlan) -> BusModel:
     """Return the bus of a scenario, with its faults."""
+    specs = contract().values() if scenario.bus.mailboxes else ()
     return BusModel(
         scenario.bus.bitrate,
         frame_filter=plan.frame_filter if plan.touches_frames else None,
         is_off=plan.is_off if plan.touches_frames else None,
         capacity=scenario.bus.send_buffer,
-        mailboxes=mailboxes(scenario),
+        mailboxes=frozenset(spec.can_id for spec in specs),
     )
 
 
@@ -273,16 +267,15 @@ def open_channels(
 ) -> list[Channel]:
     """Return the channels to all participants of a run, their processes started.
 
-    `transport`: inproc, local, local:NAME, or a CAN interface; participants named in `external` are
-    started by the user, with the command that `say` prints. The plant's process records into `folder`.
+    `transport`: inproc, local, local:NAME, or a CAN interface; those in `external` are started by the
+    user with the command that `say` prints. The plant's process records into `folder`.
     Raises InputError for a transport that this machine does not have, RunError for one in use.
     """
     names = participant_names(loaded.scenario)
     if transport == "inproc":
         if external:
-            raise InputError(
-                "--external: not with --transport inproc; expected local or a CAN interface"
-            )
+            expected = "expected local or a CAN interface"
+            raise InputError(f"--external: not with --transport inproc; {expected}")
         here = [make_participant(name, loaded, folder) for name in names]
         return [InProcess(here, received())]
     if "plant" not in external:
@@ -339,8 +332,7 @@ def node_command(
 ) -> list[str]:
     """Return the command that runs one participant of the run in `folder` in its own process.
 
-    Empty for a participant in `external`: then `say` prints the command for the user. The process
-    runs this very code, whatever lies in the user's folder under the same names.
+    Empty for one in `external`: `say` prints it for the user. The process runs this very code.
     """
     folder = resolved(folder) if name in external else folder
     recording = ["--out", str(folder), *(["--force"] if name == "plant" else [])]
@@ -349,7 +341,6 @@ def node_command(
     if name in external:
         say(f"waiting for {name}: {shlex.join(['opc4', *words])}")
         return []
-    code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from sil.cli import main; sys.exit(main())"
-    )
+    path = f"sys.path.insert(0, {str(ROOT)!r})"
+    code = f"import sys; {path}; from sil.cli import main; sys.exit(main())"
     return [sys.executable, "-P", "-c", code, *words]

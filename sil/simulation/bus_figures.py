@@ -42,11 +42,10 @@ def periods_ns(scenario: Scenario) -> dict[str, int]:
 
 
 def scenario_messages(scenario: Scenario) -> tuple[PeriodicMessage, ...]:
-    """Return the periodic messages of a scenario, as the response-time analysis takes them.
+    """Return the periodic messages of a scenario for the response-time analysis.
 
-    ETC1 and ETC2 go out with the firmware's next step, so they jitter by one step when the step
-    does not divide their period. Other nodes' traffic is not among them; of a truck, its faults (DM1
-    and its packets) and, once a run, its address claims are.
+    ETC1 and ETC2 jitter by one step of the firmware when it does not divide their period. Of a truck,
+    its faults (DM1) and, once a run, its address claims are among them; other nodes' traffic is not.
     """
     step = scenario.controller.period_ns
     jitter = 0 if _BROADCAST_NS % step == 0 or step > _BROADCAST_NS else step
@@ -64,10 +63,7 @@ def scenario_messages(scenario: Scenario) -> tuple[PeriodicMessage, ...]:
 def message_rows(
     scenario: Scenario, figures: Callable[[int, int], dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Return name, sender, period and figures of each message, by identifier.
-
-    `figures` takes the identifier and the period in ns.
-    """
+    """Return name, sender, period and `figures` (of identifier, period in ns) of each message."""
     messages = contract_messages(periods_ns(scenario))
     return [
         {
@@ -122,10 +118,7 @@ def overload(figures: dict[str, Any]) -> list[str]:
 
 
 def response_check(scenario: Scenario, figures: dict[str, Any]) -> list[Check]:
-    """Return the check that no frame was later than its worst case, where the analysis holds.
-
-    It does not where faults repeat frames or frames of other nodes are on the bus.
-    """
+    """Return the check that no frame was later than its worst case, unless faults or others' frames are there."""
     if scenario.fault or scenario.bus.extra_load > 0.0 or scenario.bus.guest:
         return []
     late = [

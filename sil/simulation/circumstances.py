@@ -37,13 +37,18 @@ def circumstances(scenario: Scenario) -> Circumstances:
         and {"off", "slow", "intermittent"}.issuperset(kinds),
         repeated_s=max(
             (
-                fault.delay_s
-                for fault in faults
-                if isinstance(fault, Replayed) and fault.message == "ControllerStatus"
+                f.delay_s
+                for f in faults
+                if isinstance(f, Replayed) and f.message == "ControllerStatus"
             ),
             default=0.0,
         ),
-        down_s=tuple(controller_down_s(scenario)),
+        down_s=tuple(
+            _interval_s(f)
+            for f in faults
+            if (isinstance(f, Dead | Stalled) and f.node == "controller")
+            or (isinstance(f, BusOff | OtherBitRate) and f.node in ("controller", "plant"))
+        ),
         disturbed=bool(faults) or scenario.bus.extra_load > 0.0,
         deaf_s=tuple(
             _interval_s(f) for f in faults if isinstance(f, OtherBitRate) and f.node == "controller"
@@ -56,8 +61,7 @@ def circumstances(scenario: Scenario) -> Circumstances:
 def sight_s(scenario: Scenario) -> float:
     """Return the longest time in s until a motion shows in the status frames.
 
-    The sum of a pulse period, the sensor's delays, two steps of the firmware, the bus, and the
-    delays of stated faults.
+    The pulse period, the sensor's delays, two steps of the firmware, the bus, and stated faults.
     """
     sensor, controller = scenario.sensor, scenario.controller
     total_s = sensor.period_s + sensor.capture_s + sensor.delay_s
@@ -75,16 +79,6 @@ def _overloaded(scenario: Scenario) -> bool:
     """Return whether foreign frames leave the bus less than half, so that others may wait for any time."""
     loads = [scenario.bus.extra_load, *(f.load for f in scenario.fault if isinstance(f, Babbling))]
     return sum(loads) > 0.5
-
-
-def controller_down_s(scenario: Scenario) -> list[tuple[float, float]]:
-    """Return the intervals in s in which the controller is dead or cut off from the plant."""
-    return [
-        _interval_s(fault)
-        for fault in scenario.fault
-        if (isinstance(fault, Dead | Stalled) and fault.node == "controller")
-        or (isinstance(fault, BusOff | OtherBitRate) and fault.node in ("controller", "plant"))
-    ]
 
 
 def _interval_s(fault: BusFault) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from sil.files.quantity import quantity, unit_of
 from sil.simulation.circumstances import circumstances
@@ -69,11 +69,8 @@ def metric_rows(runs: Sequence[Mapping[str, Any]]) -> list[MetricRow]:
     for name, title in METRICS.items():
         values = [run.get(name) for run in runs]
         if any(value is not None for value in values):
-            differences = [
-                None if value is None or values[0] is None else value - values[0]
-                for value in values
-            ]
-            rows.append(MetricRow(name=name, title=title, values=values, differences=differences))
+            known = [None if None in (value, values[0]) else value - values[0] for value in values]
+            rows.append(MetricRow(name=name, title=title, values=values, differences=known))
     return rows
 
 
@@ -87,8 +84,7 @@ class Changes(msgspec.Struct, frozen=True, kw_only=True):
 def without_expectations(changed: Loaded, shipped: Loaded, stated: Expectations) -> Loaded:
     """Return a changed shipped scenario with only those expectations that hold for any values.
 
-    stated: expectations among the changed values. A request that the scenario expects to end otherwise than
-    confirmed may remain unfinished.
+    stated: expectations among the changed values. A request may remain unfinished if it was expected to.
     """
     expect, request = shipped.scenario.expect, changed.scenario.request
     requested = request[-1].gear if request else None
@@ -98,9 +94,9 @@ def without_expectations(changed: Loaded, shipped: Loaded, stated: Expectations)
         unfinished=expect.confirmed_gear not in (None, requested),
     )
     others = {
-        name: getattr(stated, name)
-        for name in stated.__struct_fields__
-        if getattr(stated, name) != getattr(Expectations(), name)
+        name: value
+        for name, value in asdict(stated).items()
+        if value != getattr(Expectations(), name)
     }
     scenario = replace(changed.scenario, expect=replace(always, **others))
     return dataclasses.replace(changed, scenario=scenario)
