@@ -152,12 +152,7 @@ def simulate(
 
 
 def whatif(
-    study: Where,
-    *,
-    out: Where,
-    model: Where | None = None,
-    workers: int = 1,
-    resume: bool = False,
+    study: Where, *, out: Where, model: Where | None = None, workers: int = 1, resume: bool = False
 ) -> Sweep:
     """Run the rows of a study, as `opc4 whatif` does.
 
@@ -269,8 +264,6 @@ def replay(
 
     return replayed(
         ReplayRequest(
-            log=str(log),
-            settings=settings,
-            firmware=None if firmware is None else str(firmware),
+            log=str(log), settings=settings, firmware=None if firmware is None else str(firmware)
         )
     )

@@ -42,10 +42,7 @@ ARGUMENTS = (
         "your own, or force and position of anything",
         choices=("actuator", "fixed", "cylinder", "force"),
     ),
-    argument(
-        "--next",
-        "also write OUT/next/campaign.toml: the strokes to measure next",
-    ),
+    argument("--next", "also write OUT/next/campaign.toml: the strokes to measure next"),
     argument(
         "--model",
         "parameter set or model file to compare with [nominal]",

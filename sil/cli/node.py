@@ -36,13 +36,7 @@ ARGUMENTS = (
         type=float,
         default=WAIT_S,
     ),
-    argument(
-        "--out",
-        "where the plant records [.]",
-        "DIR",
-        type=Path,
-        default=Path(),
-    ),
+    argument("--out", "where the plant records [.]", "DIR", type=Path, default=Path()),
     argument("--force", "replace the records in DIR"),
     argument(
         "--realtime",
@@ -71,10 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"opc4 node: {message}")
 
     loaded = load_scenario.load(
-        arguments.scenario,
-        model=arguments.model,
-        settings=arguments.settings,
-        seed=arguments.seed,
+        arguments.scenario, model=arguments.model, settings=arguments.settings, seed=arguments.seed
     )
     duration_s: float | None = arguments.duration
     if duration_s is not None and not (arguments.realtime and 0.0 < duration_s <= 86400.0):

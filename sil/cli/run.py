@@ -59,10 +59,7 @@ ARGUMENTS = (
         "are sent; with --speed, or in one process, the lockstep run is slowed down to it",
     ),
     argument(
-        "--speed",
-        "pace the lockstep: simulated seconds per wall second",
-        "FACTOR",
-        type=float,
+        "--speed", "pace the lockstep: simulated seconds per wall second", "FACTOR", type=float
     ),
     *(FIRMWARE, MODEL, EFFECTS, SETTINGS, SEED, OWN_RULES),
     argument(

@@ -69,8 +69,11 @@ def metric_rows(runs: Sequence[Mapping[str, Any]]) -> list[MetricRow]:
     for name, title in METRICS.items():
         values = [run.get(name) for run in runs]
         if any(value is not None for value in values):
-            known = [None if None in (value, values[0]) else value - values[0] for value in values]
-            rows.append(MetricRow(name=name, title=title, values=values, differences=known))
+            differences = [
+                None if value is None or values[0] is None else value - values[0]
+                for value in values
+            ]
+            rows.append(MetricRow(name=name, title=title, values=values, differences=differences))
     return rows
 
 

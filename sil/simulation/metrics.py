@@ -37,12 +37,7 @@ LAGS = (
     "bus_lag_90_s",
 )
 
-WORST = (
-    "impact_worst_m_s",
-    "impact_worst_energy_j",
-    "impact_worst_force_n",
-    "confirmed_early_s",
-)
+WORST = ("impact_worst_m_s", "impact_worst_energy_j", "impact_worst_force_n", "confirmed_early_s")
 """Figures of a shift of which the summary gives the largest."""
 
 METRICS = {

@@ -52,10 +52,7 @@ def shown_rows(study: Study, table: Table) -> tuple[list[str], list[list[str]]]:
 
 
 def _cells(
-    table: Table,
-    baseline: NDArray[np.int64] | None,
-    metrics: list[str],
-    rows: NDArray[np.int64],
+    table: Table, baseline: NDArray[np.int64] | None, metrics: list[str], rows: NDArray[np.int64]
 ) -> Iterator[str]:
     for name in metrics:
         factor = metric_of(name).factor

@@ -24,10 +24,7 @@ def shipped() -> dict[str, Path]:
 
 
 def load_study(
-    where: str,
-    effects: Sequence[str] = (),
-    model: str | None = None,
-    firmware: str | None = None,
+    where: str, effects: Sequence[str] = (), model: str | None = None, firmware: str | None = None
 ) -> Study:
     """Read a study file, or a shipped study by name.
 

@@ -43,11 +43,7 @@ Load = Callable[[Settings], Loaded]
 """Returns the base scenario with settings."""
 
 SPACES: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    "air_cushion": {
-        "trigger_m": (0.0005, 0.012),
-        "lead_s": (0.0, 0.03),
-        "burst_s": (0.005, 0.04),
-    },
+    "air_cushion": {"trigger_m": (0.0005, 0.012), "lead_s": (0.0, 0.03), "burst_s": (0.005, 0.04)},
     "sliding_mode": {
         "slope_per_s": (10.0, 150.0),
         "band_m_s": (0.0, 0.5),
