@@ -32,16 +32,9 @@ Where = str | Path
 
 @dataclass(frozen=True)
 class Sweep:
-    """A finished study.
+    """A finished study: numbers and texts of results.csv by column, and the content of summary.json.
 
-    Attributes
-    ----------
-    numbers : dict of arrays [rows]
-        The columns of results.csv that hold numbers, by name; NaN for none.
-    texts : dict of lists [rows]
-        The other columns.
-    summary : dict
-        The content of summary.json.
+    numbers [rows]: columns that hold numbers, NaN for none. texts [rows]: the other columns.
     """
 
     numbers: dict[str, NDArray[np.float64]]
@@ -76,30 +69,14 @@ def run(
     model: Where | None = None,
     seed: int | None = None,
 ) -> Run:
-    """Run a scenario in memory, as `opc4 run --strict` does.
+    """Run a scenario in memory, as `opc4 run --strict` does; return its checks, metrics, signals and frames.
 
-    Parameters
-    ----------
-    scenario
-        A scenario file, a shipped name, or a table of a scenario's values.
-    settings
-        Values of the scenario or model to change, by path.
-    model
-        Parameter set or model file of the plant.
-    seed
-        Seed of all random numbers.
+    - `scenario`: a scenario file, a shipped name, or a table of a scenario's values
+    - `settings`: values of the scenario or model to change, by path
+    - `model`: parameter set or model file of the plant
+    - `seed`: seed of all random numbers
 
-    Returns
-    -------
-    Run
-        The checks, metrics, signals and frames of the run.
-
-    Raises
-    ------
-    InputError
-        If the scenario, a setting or the model is not valid.
-    RunError
-        If a participant fails.
+    Raises InputError if the scenario, a setting or the model is not valid, RunError if a participant fails.
     """
     from sil.simulation import load_scenario
     from sil.simulation.in_memory import run_in_memory
@@ -119,26 +96,13 @@ def run(
 def simulate(
     campaign: Where, settings: Settings = NO_SETTINGS, *, model: Where = "nominal"
 ) -> list[SimulatedStroke]:
-    """Simulate each stroke of a campaign, as `opc4 simulate` does.
+    """Simulate each stroke of a campaign, as `opc4 simulate` does; return them in the campaign's order.
 
-    Parameters
-    ----------
-    campaign
-        Campaign folder.
-    settings
-        Model values to change, by path.
-    model
-        Parameter set or model file of the plant.
+    - `campaign`: campaign folder
+    - `settings`: model values to change, by path
+    - `model`: parameter set or model file of the plant
 
-    Returns
-    -------
-    list of SimulatedStroke
-        One for each stroke, in the order of the campaign.
-
-    Raises
-    ------
-    InputError
-        If the campaign, the model or a setting is not valid.
+    Raises InputError if the campaign, the model or a setting is not valid.
     """
     from plant.effects import overridden
     from plant.parameters import load
@@ -154,32 +118,15 @@ def simulate(
 def whatif(
     study: Where, *, out: Where, model: Where | None = None, workers: int = 1, resume: bool = False
 ) -> Sweep:
-    """Run the rows of a study, as `opc4 whatif` does.
+    """Run the rows of a study, as `opc4 whatif` does; return the table and its summary.
 
-    Parameters
-    ----------
-    study
-        A study file or a shipped name.
-    out
-        Folder for results.csv, made if missing.
-    model
-        Parameter set or model file of the plant; None for that of the study.
-    workers
-        Number of processes.
-    resume
-        Continue the rows that the folder holds.
+    - `study`: a study file or a shipped name
+    - `out`: folder for results.csv, made if missing
+    - `model`: parameter set or model file of the plant; None for that of the study
+    - `workers`: number of processes
+    - `resume`: continue the rows that the folder holds
 
-    Returns
-    -------
-    Sweep
-        The table and its summary.
-
-    Raises
-    ------
-    InputError
-        If the study or the folder is not valid.
-    RunError
-        If a worker dies.
+    Raises InputError if the study or the folder is not valid, RunError if a worker dies.
     """
     from sil.files.output_folder import locked_folder
     from sil.studies.executor import run_study
@@ -200,29 +147,14 @@ def diagnose(
     workers: int = 2,
     plan: bool = False,
 ) -> Diagnosis:
-    """Diagnose a campaign, as `opc4 diagnose` does.
+    """Diagnose a campaign, as `opc4 diagnose` does; return the verdict, its causes and the extended model.
 
-    Parameters
-    ----------
-    campaign
-        Campaign folder, or folders of one unit.
-    model
-        Parameter set or model file of the plant.
-    workers
-        Number of processes.
-    plan
-        Say what to measure next even if nothing is left to separate, as `--next` does.
+    - `campaign`: campaign folder, or folders of one unit
+    - `model`: parameter set or model file of the plant
+    - `workers`: number of processes
+    - `plan`: say what to measure next (`next_experiment`) even if nothing is left to separate, as `--next`
 
-    Returns
-    -------
-    Diagnosis
-        The verdict with its causes and the extended model; `next_experiment` holds the strokes to
-        measure next.
-
-    Raises
-    ------
-    InputError
-        If the campaign or the model is not valid.
+    Raises InputError if the campaign or the model is not valid.
     """
     from plant.parameters import load
     from sil.campaign.campaign import joined, load_campaign
@@ -236,28 +168,13 @@ def diagnose(
 def replay(
     log: Where, settings: Settings = NO_SETTINGS, *, firmware: Where | None = None
 ) -> ReplayResult:
-    """Feed the recorded inputs of a log to the firmware alone, as `opc4 replay` does.
+    """Feed the recorded inputs of a log to the firmware alone, as `opc4 replay` does; return the differences.
 
-    Parameters
-    ----------
-    log
-        A CAN log of any format.
-    settings
-        Firmware values to change, by path.
-    firmware
-        Settings (TOML, or a run's result.json), or FILE.py:CLASS of a user's own firmware.
+    - `log`: a CAN log of any format
+    - `settings`: firmware values to change, by path
+    - `firmware`: settings (TOML, or a run's result.json), or FILE.py:CLASS of a user's own firmware
 
-    Returns
-    -------
-    ReplayResult
-        The differences between recorded and replayed commands.
-
-    Raises
-    ------
-    InputError
-        If the log cannot be used, or no shift was requested in it.
-    RunError
-        If the firmware fails.
+    Raises InputError if the log cannot be used or requests no shift, RunError if the firmware fails.
     """
     from sil.log_replay.replay import ReplayRequest
     from sil.log_replay.replay import replay as replayed

@@ -115,10 +115,7 @@ class _Output(io.FileIO):
 
 
 def command() -> NoReturn:
-    """Be the process `opc4`: SIGTERM and SIGHUP end a command as Ctrl-C does.
-
-    Standard streams that are closed are replaced by the null device.
-    """
+    """Be the process `opc4`: SIGTERM and SIGHUP end it as Ctrl-C does; closed standard streams are null devices."""
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the matrices are small: threads only wait for each other
     gc.set_threshold(
@@ -156,10 +153,8 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
 def main(argv: Sequence[str] | None = None, watched: bool = False) -> int:
     """Run one `opc4` command and return its exit code.
 
-    watched: a forked process goes on before a user's Python runs.
-
-    Bad input and usage end in one line on standard error; with --json the same line is also the
-    `error` of the one object on standard output.  Checked by test_cli.
+    watched: a forked process goes on before a user's Python runs. Bad input ends in one line on standard
+    error; with --json it is also the `error` of the one object on standard output. Checked by test_cli.
     """
     try:
         return _main(list(sys.argv[1:] if argv is None else argv), watched)

@@ -45,10 +45,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; write the model file and its page; 1 if it is not good enough to diagnose with.
-
-    Raises InputError for a campaign, a data sheet or an --out that is not valid.
-    """
+    """Calibrate; write the model file and its page; 1 if it is not good enough. Raises InputError for bad input."""
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite
     from sil.inference.calibrate.output import model_text, write_page

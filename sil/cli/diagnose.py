@@ -58,10 +58,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent.
-
-    Raises InputError for a campaign or an effect that is not valid.
-    """
+    """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent. Raises InputError."""
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     if arguments.new is not None:
@@ -82,10 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def run_campaigns(arguments: argparse.Namespace) -> int:
-    """Diagnose a unit by one or more campaigns; 1 if not consistent.
-
-    Raises InputError for a campaign or an effect that is not valid, and campaigns that do not go together.
-    """
+    """Diagnose a unit by its campaigns; 1 if not consistent. Raises InputError if they do not go together."""
     from plant.effects.user_file import load_effects
 
     # before the modules below, which list what the catalogue holds
@@ -131,10 +125,7 @@ def run_campaigns(arguments: argparse.Namespace) -> int:
 
 
 def new_campaign(arguments: argparse.Namespace) -> int:
-    """Draft a campaign from measured files; print what they do not say.
-
-    Raises InputError for files that cannot be read or copied, and a campaign that is there already.
-    """
+    """Draft a campaign from measured files; print what they do not say. Raises InputError for bad files."""
     from sil.files.output_folder import locked_folder, without_parent_steps
     from sil.inference.campaign.new_campaign import draft
 
@@ -189,10 +180,7 @@ def run_force(arguments: argparse.Namespace, campaign: str, stamps: list[str]) -
 
 
 def run_logs(arguments: argparse.Namespace) -> int:
-    """Diagnose a truck by the shifts in its logs; 1 if not consistent.
-
-    Raises InputError for a file that is no log, or one without what a shift needs.
-    """
+    """Diagnose a truck by the shifts in its logs; 1 if not consistent. Raises InputError for unusable logs."""
     from plant.effects.user_file import load_effects
 
     stamps = [load_effects(file) for file in arguments.effects]

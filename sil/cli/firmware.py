@@ -27,11 +27,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write a draft, or check a firmware: 1 if its gear is not reached.
-
-    Raises InputError without an option that says what to do, and for a file that is no firmware;
-    RunError when it fails.
-    """
+    """Write a draft, or check a firmware: 1 if its gear is not reached. Raises InputError and RunError."""
     from can_dbc.errors import InputError
 
     if arguments.new is not None:

@@ -158,10 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_steps(loaded: Loaded, tick: int | None, folder: Path) -> None:
-    """Write a step of a firmware in C, the last one for None: break_TICK.c, opc4.h, and the state before it.
-
-    Raises InputError without such a step.
-    """
+    """Write step `tick` (None: the last) of a firmware in C: break_TICK.c, opc4.h, and the state before it."""
     from can_dbc.errors import InputError, RunError
     from sil.files.atomic import write_atomically
     from sil.firmware.contract import header

@@ -29,10 +29,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate, write the campaign folder, print one line a stroke.
-
-    Raises InputError for a campaign or a record that is wrong, and an --out that is the campaign.
-    """
+    """Simulate, write the campaign folder, print one line a stroke. Raises InputError for bad input."""
     from can_dbc.errors import InputError
     from can_dbc.user_file import resolved
     from plant.effects import overridden

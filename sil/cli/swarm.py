@@ -37,10 +37,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Hunt until the time or the number of runs is over; return the exit code.
-
-    Raises InputError for wrong arguments, RunError if a worker or the cluster is lost.
-    """
+    """Hunt until the time or the number of runs is over; return the exit code. Raises InputError and RunError."""
     from sil.files.output_folder import close_folders
     from sil.files.progress import Progress
     from sil.files.worker import in_turn

@@ -22,10 +22,7 @@ _files: list[str] = []
 
 
 def go_on_in_child(file: str) -> None:
-    """Return in a forked process before a user's file runs there for the first time; wait for it here.
-
-    Checked by: tests/unit/sil/cli/test_watched.py
-    """
+    """Return in a forked process before a user's file runs there for the first time; wait for it here."""
     _files.append(file)
     if len(_files) > 1:
         return

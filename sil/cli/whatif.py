@@ -36,10 +36,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the rows, write table, summary, figures and page; return the exit code.
-
-    Raises InputError for wrong arguments or a wrong study, RunError if the sweep cannot go on.
-    """
+    """Run the rows, write table, summary, figures and page; return the exit code. Raises InputError and RunError."""
     from can_dbc.errors import InputError
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import close_folders, finite

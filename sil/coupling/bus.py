@@ -30,10 +30,7 @@ class BusFrame(NamedTuple):
 
 
 class Transmission(NamedTuple):
-    """A frame that has won the arbitration, as a `frame_filter` receives it.
-
-    `start_ns` to `end_ns`: start of frame to end of frame; `attempt` counts from 1.
-    """
+    """A frame that has won the arbitration; from start to end of frame; `attempt` counts from 1."""
 
     start_ns: int
     end_ns: int
@@ -48,10 +45,7 @@ class Transmission(NamedTuple):
 
 
 class ErrorFrame(NamedTuple):
-    """The verdict that all nodes rejected a transmission for its CRC, after the ACK delimiter.
-
-    With `retransmit` the frame competes again at once, otherwise it is lost (its sender is bus-off).
-    """
+    """All nodes rejected a transmission for its CRC. With `retransmit` it competes again at once, else it is lost."""
 
     retransmit: bool = True
 

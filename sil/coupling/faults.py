@@ -1,7 +1,4 @@
-"""Faults of the bus and of its nodes, as a scenario states them.
-
-All act in simulated time and draw from generators seeded by the scenario.
-"""
+"""Faults of the bus and of its nodes, in simulated time, drawn by generators that the scenario seeds."""
 
 from __future__ import annotations
 
@@ -57,10 +54,7 @@ class _Fault(
 
 
 class _FrameFault(_Fault, frozen=True, kw_only=True):
-    """Hits frames of `message` that start on the bus while the fault acts.
-
-    Of these every `every`-th one, the first included, with `probability`, at most `count`.
-    """
+    """Hits every `every`-th frame of `message`, the first included, with `probability`, at most `count`."""
 
     message: MessageName
     """Message whose frames are hit."""
@@ -341,10 +335,7 @@ class FaultPlan:
         return frozenset(off + [m.node for m in self._misfits if m.acts(instant_ns)])
 
     def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
-        """Return the node's first event from `event_ns` on at which it runs; `NEVER_NS`: none.
-
-        `period_ns` is the time between its last two events.
-        """
+        """Return the first event from `event_ns` on at which a node runs; `NEVER_NS`: none. period_ns: its last step."""
         moved = True
         while moved and event_ns < NEVER_NS:
             moved = False

@@ -64,10 +64,7 @@ def crc15(bits: int, count: int) -> int:
 
 
 def header_bits(can_id: int, length: int, extended: bool = True) -> tuple[int, int]:
-    """Return the bits from start of frame to the length code, as a number, and their count.
-
-    Raises ValueError for an identifier or a length that does not fit.
-    """
+    """Return the bits from start of frame to length code as a number, and their count. Raises ValueError."""
     if not 0 <= length <= 8:
         raise ValueError(f"{length} data bytes; expected 0 to 8")
     if not 0 <= can_id < (1 << 29 if extended else 1 << 11):
@@ -87,10 +84,7 @@ def _after_header(can_id: int, length: int, extended: bool) -> tuple[int, int, i
 
 @lru_cache(maxsize=1 << 15)
 def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
-    """Return the bits of a data frame from start of frame to end of frame, without the intermission.
-
-    Raises ValueError for an identifier or a length that does not fit.
-    """
+    """Return the bits from start to end of frame, stuff bits included, no intermission. Raises ValueError."""
     crc, state, inserted, plain = _after_header(can_id, len(data), extended)
     for byte in data:
         crc = (crc << 8 & 0x7FFF) ^ _CRC_BYTE[crc >> 7 ^ byte]

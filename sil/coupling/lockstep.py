@@ -77,10 +77,7 @@ class Lockstep:
         self.close()
 
     def close(self) -> None:
-        """End participants and channels; those of an unfinished run as aborted.
-
-        Raises RunError for a channel that cannot be closed after a finished run.
-        """
+        """End participants and channels, aborted if unfinished. Raises RunError if one of a finished run cannot close."""
         failures = []
         for channel in self._channels:
             try:

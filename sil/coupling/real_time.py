@@ -45,10 +45,7 @@ def quantile(counts: Mapping[int, int], share: float) -> int:
 
 
 class Pacer:
-    """Delays simulated instants until the wall clock has reached them.
-
-    The schedule is absolute: wall = origin + (simulated - simulated origin) / factor.
-    """
+    """Delays instants to the wall clock: wall = origin + (simulated - simulated origin) / factor, absolute."""
 
     def __init__(
         self,
@@ -69,10 +66,7 @@ class Pacer:
         self._overruns = 0
 
     def wait(self, simulated_ns: int, idle: Callable[[float], None]) -> None:
-        """Return when the wall clock has reached the instant; `idle(seconds)` passes long waits.
-
-        The first call ties its instant to the present wall time.
-        """
+        """Return when the wall clock has reached the instant, at once the first time; `idle(s)` passes long waits."""
         if self._origin_simulated is None:
             self._origin_wall = self._clock()
             self._origin_simulated = simulated_ns

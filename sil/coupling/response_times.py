@@ -56,10 +56,7 @@ class PeriodicMessage:
 
 @dataclass(frozen=True, slots=True)
 class ResponseTime:
-    """C, B and R of one message, times in ns.
-
-    `response_ns`: from the start of the period, jitter included, to the end of the intermission.
-    """
+    """C, B and R of one message in ns; R from the start of the period, jitter included, to the intermission's end."""
 
     message: PeriodicMessage
     transmission_ns: int
@@ -128,10 +125,9 @@ def utilisation(messages: Iterable[PeriodicMessage], bitrate: int) -> Fraction:
 
 
 def response_times(messages: Sequence[PeriodicMessage], bitrate: int) -> tuple[ResponseTime, ...]:
-    """Return the worst-case response times, highest priority first.
+    """Return the worst-case response times by the equations above, highest priority first.
 
-    Raises InputError for a utilisation above 1, for equal identifiers, periods not above 0 and
-    negative jitter. The module docstring has the equations.
+    Raises InputError for a utilisation above 1, equal identifiers, periods not above 0, negative jitter.
     """
     ranked = sorted(messages, key=lambda message: message.rank)
     for message in ranked:

@@ -1,9 +1,6 @@
-"""The figure model: what a picture and the interactive plots of a page both show.
+"""The figure model: `Figure` of stacks side by side, `Stack` of panels over one horizontal axis, `Panel`.
 
-A `Figure` holds stacks side by side; a `Stack` holds panels one above the other over one horizontal
-axis; a `Panel` holds series, bands, spans, rules and notes over one vertical axis. The model knows
-neither matplotlib nor a browser: `sil.report.picture` draws it as PNG and SVG, `sil.report.plots`
-as interactive plots of a page.
+`sil.report.picture` draws it as PNG and SVG, `sil.report.plots` as interactive plots of a page.
 """
 
 from __future__ import annotations
@@ -61,10 +58,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Span:
-    """A rectangle from start to end and from low to high; infinite: to the edge of the panel.
-
-    The label is written inside if there is room.
-    """
+    """A rectangle, infinite: to the edge of the panel; the label is written inside if there is room."""
 
     start: float
     end: float
@@ -130,12 +124,9 @@ class ColourScale:
 class Panel:
     """What shares one vertical axis.
 
-    height: in pixels on a page, in proportion in a picture.
-    ticks: (value, name) on the vertical axis instead of numbers.
-    limits: ends of the vertical axis, the lower one first, even if reversed by a higher one;
-    None: found from the content.
-    keys: (text, role) of legend entries in addition to those of the series.
-    page_only: pictures leave the panel out.
+    height: in pixels on a page, in proportion in a picture. ticks: (value, name) instead of numbers.
+    limits: ends of the vertical axis, the lower end first, even if reversed; None: found from the content.
+    keys: (text, role) of further legend entries. page_only: pictures leave the panel out.
     """
 
     title: str
@@ -182,9 +173,8 @@ class Zoom:
 class Stack:
     """Panels one above the other over one horizontal axis.
 
-    axis: its label with the unit. ticks: (value, name) instead of numbers.
+    axis: its label with the unit. ticks: (value, name) instead of numbers. width: in inches in a picture.
     overview: a panel above all columns of a picture; the page needs none.
-    width: in inches in a picture.
     """
 
     axis: str
@@ -214,10 +204,7 @@ class Stack:
 
 @dataclass(frozen=True)
 class Figure:
-    """Stacks side by side under a title.
-
-    same_scale: panels of one row have the same vertical limits in all stacks.
-    """
+    """Stacks side by side under a title; same_scale: with the same vertical limits in each row."""
 
     stacks: Sequence[Stack]
     title: str = ""
@@ -235,9 +222,6 @@ def _ends(values: Iterable[float]) -> list[float]:
 def spans_of(
     times: Sequence[float] | Floats, on: Sequence[Any], end: float
 ) -> list[tuple[float, float]]:
-    """Return (start, end) of each time in which a held switch is on.
-
-    times: [n] ascending, in any unit; on: [n], whether it is on from then.
-    """
+    """Return (start, end) of each time in which a switch is `on` [n] from `times` [n], ascending, in any unit."""
     edges = [*times, end]
     return [(float(edges[a]), float(edges[b])) for a, b in true_runs(np.array(on, dtype=bool))]

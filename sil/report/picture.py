@@ -278,10 +278,7 @@ def _spans(axes: Axes, spans: Sequence[Span], width: float) -> None:
 
 
 def _span_label(axes: Axes, span: Span, view: View, points: float) -> None:
-    """Write a label into a span: smaller, or upright, where there is little room.
-
-    points: per unit of the horizontal axis.
-    """
+    """Write a label into a span, smaller or upright where room is little; points: per unit of the axis."""
     room = (view[1] - view[0]) * points
     size = 8.5 if LETTER * 8.5 * len(span.label) <= room else 6.5
     turned = LETTER * size * len(span.label) > room

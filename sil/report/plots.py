@@ -1,7 +1,6 @@
-"""The page's backend: a figure as interactive plots, zoomed together, without a network.
+"""The page's backend: a figure as interactive plots by uPlot (MIT licence), without a network.
 
-Drawn in the browser by uPlot (MIT licence, in the folder `uplot`); the page carries library and
-numbers. Checked by: tests/unit/sil/report/test_plots.py, tests/browser/
+The page carries library and numbers. Checked by: tests/unit/sil/report/test_plots.py, tests/browser/
 """
 
 from __future__ import annotations
@@ -23,10 +22,7 @@ DIGITS = 6
 
 @dataclass(frozen=True)
 class PlotGroup:
-    """The plots of one stack, as the template `plots.html` reads them.
-
-    repeated: a picture on the page shows the same, so that paper does without these plots.
-    """
+    """The plots of one stack for `plots.html`; repeated: a picture shows the same, paper does without."""
 
     title: str
     numbers: str
@@ -103,10 +99,7 @@ def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
 
 
 def on_axis(series: Series, x: Floats) -> Floats:
-    """Return a series' values at other x: [n], NaN outside its ends and, for points, between them.
-
-    Stepped values hold until the next one; lines are interpolated.
-    """
+    """Return a series' values at other x: [n], held or interpolated, NaN outside and between points."""
     if len(series.x) == len(x) and np.array_equal(series.x, x):
         return series.y
     if not len(series.x):

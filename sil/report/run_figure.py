@@ -44,10 +44,7 @@ def run_figure(
     subtitle: str = "",
     faults: Sequence[FaultSpan] = (),
 ) -> Figure:
-    """Return the figure of a finished run, with a zoom for each shift.
-
-    Faults, and when the controller reported one first, are marked in every panel, named in that of the position.
-    """
+    """Return the figure of a run, a zoom for each shift; faults and first reports are marked in every panel."""
     zooms = shift_zooms(record, shifts)
     truth, stroke = record.truth, record.stroke_m * MM
     time = truth["time_s"] * MS
@@ -115,10 +112,7 @@ def with_faults(
 
 
 def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
-    """Return the part of the time axis, in ms, from before each request until it has settled.
-
-    Without a shift it is the whole run.
-    """
+    """Return the parts of the axis, in ms, from before each request until it has settled, or the whole run."""
     end = float(record.truth["time_s"][-1])
     starts_s = [*(shift.requested_s for shift in shifts[1:]), end]
     zooms = []
@@ -233,10 +227,7 @@ def _synchronizer_notes(record: RunRecord, zooms: Sequence[Zoom]) -> Iterator[No
 
 
 def _lags(record: RunRecord, shift: Shift) -> Iterator[tuple[float, float, float]]:
-    """Yield (true instant in ms, lag in ms, position in mm) at 10 % and 90 % of the travel.
-
-    The lag is the one of the metrics: on average over the phase of the controller's sampling.
-    """
+    """Yield (true instant in ms, lag of the metrics in ms, position in mm) at 10 % and 90 % of the travel."""
     if shift.arrived_s is None:
         return
     time, position = record.truth["time_s"], record.truth["position_m"]
@@ -250,10 +241,7 @@ def _lags(record: RunRecord, shift: Shift) -> Iterator[tuple[float, float, float
 
 
 def _impact_notes(record: RunRecord, shift: Shift, gap: float) -> list[Note]:
-    """Return the stop of the stay, and the hardest of the other impacts unless it is far softer.
-
-    gap: between the curve and a text on its left, in ms.
-    """
+    """Return the stop, and the hardest other impact unless far softer; gap: of a text left of the curve, ms."""
     others = [impact for impact in shift.impacts if impact.name != "stay_stop"]
     worst = max(others, key=lambda impact: impact.energy_j, default=None)
     notes = []
@@ -278,10 +266,7 @@ def _impact_notes(record: RunRecord, shift: Shift, gap: float) -> list[Note]:
 
 # --- valves -------------------------------------------------------------------------------------
 def _valves(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
-    """Each coil as commanded above what its valve did, with the delays between them.
-
-    Delays are stated in the bar of an open valve, beside a short one, or not where there is no room.
-    """
+    """Return commands above reactions, with the delays between them where there is room."""
     spans, notes, ticks, rules = [], [], [], []
     for lane, chamber in enumerate(reversed(CHAMBERS)):
         coil, blowing, is_open = (
@@ -318,10 +303,7 @@ def _valves(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
 def valve_spans(
     record: RunRecord, chamber: str
 ) -> tuple[list[Interval], list[Interval], list[Interval]]:
-    """Return (start, end) in s of a coil energised, a safety blow under way, a valve open.
-
-    The coil is what commands and blows amount to at the valve driver, timeouts included.
-    """
+    """Return (start, end) in s of a coil energised, timeouts included, a safety blow under way, a valve open."""
     end = float(record.truth["time_s"][-1])
     times, active = record.series(SafetyBlow, "active")
     _, chambers = record.series(SafetyBlow, "chamber")
@@ -401,10 +383,7 @@ def states_panel(record: RunRecord) -> Panel:
 
 
 def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[float, float, str]]:
-    """Return (start, end, state) of each state reported, SILENT where three reports are missing.
-
-    times: [n] of the reports, end: of the run, both in s; names: [n].
-    """
+    """Return (start, end, state) in s of reports [n] at times [n], SILENT where three are missing; end: of the run."""
     if len(times) == 0:
         return [(0.0, end, SILENT)]
     step = float(np.median(np.diff(times))) if len(times) > 1 else end

@@ -70,10 +70,7 @@ def run_page(result: Result, picture: bytes | None, groups: Sequence[PlotGroup] 
 
 
 def write_report(finished: Finished, folder: Path) -> None:
-    """Write the picture, and the page with it. Needs a record.
-
-    Of a run longer than the record's piece they show that piece, and say so.
-    """
+    """Write picture and page; of a run longer than its record's piece they show that, and say so."""
     result, record = finished.result, finished.record
     assert record is not None
     end_s, duration_s = float(record.truth["time_s"][-1]), result.scenario["duration_s"]

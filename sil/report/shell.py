@@ -1,7 +1,4 @@
-"""One look for all pages: a shell, one style sheet, one plot layer; a page is one file, offline.
-
-Checked by: tests/unit/sil/report/test_shell.py, tests/browser/
-"""
+"""One look for all pages: a shell, one style sheet, one plot layer; a page is one file, offline."""
 
 from __future__ import annotations
 

@@ -60,10 +60,7 @@ def running_channels() -> list[str]:
 
 
 def listen(channel: str) -> tuple[socket.socket, Path]:
-    """Open the listening socket of a channel, in place of one that a killed hub left behind.
-
-    Raises RunError when a hub listens there.
-    """
+    """Open a channel's listening socket, in place of one that a killed hub left. Raises RunError when in use."""
     path = socket_path(channel)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     lock = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)

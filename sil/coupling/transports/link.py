@@ -37,10 +37,7 @@ class LocalLink:
         self._socket = address.connect(channel, start_timeout_s, say)
 
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
-        """Return the next records (identifier, data), none when the time is up.
-
-        Raises RunError when the coordinator is gone.
-        """
+        """Return the next records (identifier, data), none in time. Raises RunError when the coordinator is gone."""
         try:
             self._socket.settimeout(timeout_s)
             length = self._socket.recv_into(self._buffer)
@@ -107,10 +104,7 @@ class CanLink:
         self._can.send(b"".join(records))
 
     def welcomed(self, number: int) -> None:
-        """Connect to the coordinator's lifeline, so that each notices the other's death.
-
-        Raises RunError when the coordinator is not on this machine.
-        """
+        """Connect to the coordinator's lifeline. Raises RunError when it is not on this machine."""
         self._lifeline = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._lifeline.connect(lifeline_address(self._can.interface))
@@ -156,9 +150,8 @@ class Session:
     def join(
         self, first_event_ns: int, timeout_s: float, say: Callable[[str], None] = silent
     ) -> None:
-        """Send Hello until it is answered; `first_event_ns` is sent when the run starts.
+        """Send Hello until it is answered; `first_event_ns` is sent when the run starts; `say` takes that it waits.
 
-        `say` takes the message that nobody has answered yet.
         Raises InputError when refused, RunError when nobody answers in time.
         """
         nonce = int.from_bytes(os.urandom(2), "little")
@@ -228,10 +221,7 @@ class Session:
             self._records.extend(self._link.read(None))
 
     def answer(self, frames: Sequence[tuple[int, Frame]], next_ns: int) -> None:
-        """End the turn: offer the frames, each at its release instant (ns), and name the next event.
-
-        Raises ValueError for a frame that cannot be offered or is released before the grant.
-        """
+        """Offer frames, each at its release instant (ns), and name the next event. Raises ValueError for a wrong one."""
         records = []
         release_ns = self._now_ns
         for instant_ns, frame in frames:
@@ -273,9 +263,8 @@ class Session:
 def open_link(
     channel: str, start_timeout_s: float = START_TIMEOUT_S, say: Callable[[str], None] = silent
 ) -> Link:
-    """Return the link to a run: `local:NAME` (waits for its hub), or a CAN interface's name.
+    """Return the link to a run: `local:NAME` (waits for its hub, which `say` takes), or a CAN interface's name.
 
-    `say` takes the message that the hub is waited for.
     Raises InputError for a channel that cannot exist, RunError when no hub comes in time.
     """
     kind, _, name = channel.partition(":")

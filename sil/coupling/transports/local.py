@@ -32,11 +32,7 @@ class RunEnded(can.CanOperationError):
 
 
 class LocalBus(can.BusABC):
-    """The local bus of a run, for any program.
-
-    In lockstep a listener: times are simulated, and sending is refused. On a free-running bus everybody
-    sends, and times are s since 1970.
-    """
+    """The local bus of a run, for any program: in lockstep a listener by simulated time, else for everybody."""
 
     def __init__(
         self,
@@ -47,10 +43,9 @@ class LocalBus(can.BusABC):
         say: Callable[[str], None] = silent,
         **ignored: Any,
     ) -> None:
-        """Connect to the run on `channel`; "auto" means the only one there is.
+        """Connect to the run on `channel`; "auto": the only one. Raises can.CanInitializationError without one.
 
         `wait_s`: how long it is waited for; `say` takes the message that it is.
-        Raises can.CanInitializationError when there is none.
         """
         self._connection: socket.socket | None = None
         try:
@@ -123,10 +118,7 @@ class LocalBus(can.BusABC):
             self._failure = "the run has ended" + ("" if regular else " early")
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a message on a free-running bus.
-
-        Raises can.CanOperationError in lockstep, and for a frame that is no classic 29-bit data frame.
-        """
+        """Send on a free-running bus. Raises can.CanOperationError in lockstep, or for no classic 29-bit data frame."""
         connection = self._open()
         deadline = time.monotonic() + _GREETING_S
         while self._free is None and (left := deadline - time.monotonic()) > 0.0:
@@ -158,10 +150,7 @@ class LocalBus(can.BusABC):
         return self._connection
 
     def fileno(self) -> int:
-        """Return the descriptor to wait on; -1 after shutdown.
-
-        One wake-up may stand for several messages: read with `recv(0)` until it returns None.
-        """
+        """Return the descriptor to wait on, -1 after shutdown; then read with `recv(0)` until it returns None."""
         return -1 if self._connection is None else self._connection.fileno()
 
     def shutdown(self) -> None:

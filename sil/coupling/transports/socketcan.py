@@ -92,10 +92,7 @@ class CanSocket:
         return True
 
     def receive(self) -> tuple[int, bytes] | None:
-        """Return identifier and data of the next frame, or None when none waits.
-
-        Raises RunError when the receive buffer overflowed or the interface went away.
-        """
+        """Return identifier and data of the next frame, or None. Raises RunError when frames were lost."""
         try:
             record, ancillary, _, _ = self._socket.recvmsg(wire.RECORD_BYTES, 64)
         except BlockingIOError:

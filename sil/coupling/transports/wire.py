@@ -132,19 +132,13 @@ def reason(refusal: int) -> str:
 def control(
     kind: Kind, participant: int = NOBODY, extra: int = 0xFF, value: int = NEVER_NS
 ) -> bytes:
-    """Return the record of a control frame.
-
-    `participant` and `extra` are taken modulo 256; raises struct.error for a value outside 48 bits.
-    """
+    """Return a control frame's record; `participant`, `extra` modulo 256. Raises struct.error beyond 48 bits."""
     word = value << 16 | (extra & 0xFF) << 8 | participant & 0xFF
     return _CONTROL.pack(SOCKETCAN_EXTENDED | kind, 8, word)
 
 
 def parse_control(can_id: int, payload: bytes) -> Control | None:
-    """Return the control frame, or None when the identifier is not one.
-
-    Raises WireError for one that is unknown or not 8 bytes long.
-    """
+    """Return the control frame, None if the identifier is not one. Raises WireError for an unknown one."""
     if can_id & PAGE_BITS != PAGE_BITS:
         return None
     kind = _KINDS.get(can_id)
@@ -170,10 +164,7 @@ def offer(frame: Frame) -> bytes:
 
 
 def can_be_offered(frame: Frame) -> bool:
-    """Return whether a participant may send the frame.
-
-    Classic, 29-bit, both data page bits clear: set they mean an offer or a control frame.
-    """
+    """Return whether a participant may send the frame: classic, 29-bit, both data page bits clear."""
     return (
         0 <= frame.can_id <= MAX_ID
         and not frame.can_id & PAGE_BITS
@@ -184,19 +175,14 @@ def can_be_offered(frame: Frame) -> bool:
 def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
     """Return the two records of a delivered frame: its BusTime and itself.
 
-    The checksum in BusTime, the low byte of the CRC-32 of the frame's record, lets a participant
-    distinguish the announced frame from one that another program sends at that moment.
+    The checksum, the low byte of the CRC-32 of its record, tells it from a frame of another program.
     """
     word = arrival_ns << 16 | checksum(*frame) << 8 | sender
     return _CONTROL.pack(SOCKETCAN_EXTENDED | Kind.BUS_TIME, 8, word) + real(frame)
 
 
 def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
-    """Yield the identifier (29 bits) and data of each record.
-
-    Raises WireError for a torn record, an identifier of 11 bits, a remote or error frame, or a
-    length over 8.
-    """
+    """Yield identifier and data of each record. Raises WireError for a torn one, or no classic 29-bit data frame."""
     if len(records) % RECORD_BYTES:
         raise WireError(f"{len(records)} bytes; expected a multiple of {RECORD_BYTES}")
     for flagged_id, length, payload in SOCKETCAN_FRAME.iter_unpack(records):
