@@ -110,8 +110,8 @@ class BusOff(_Fault, frozen=True, kw_only=True, tag="bus_off"):
 class OtherBitRate(_Fault, frozen=True, kw_only=True, tag="bit_rate"):
     """The node is set to another bit rate: it understands nobody, and nobody understands it.
 
-    Until error-passive (15 frames) its error flags destroy others' frames. Its own end in error
-    frames and are repeated; after 32 it is bus-off and stays silent.
+    Its error flags destroy the frames of others until it is error-passive, after 15 of them. Each of its
+    own frames ends in an error frame and is repeated; after 32 it is bus-off and stays silent.
     """
 
     node: NodeName

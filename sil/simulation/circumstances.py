@@ -59,10 +59,7 @@ def circumstances(scenario: Scenario) -> Circumstances:
 
 
 def sight_s(scenario: Scenario) -> float:
-    """Return the longest time in s until a motion shows in the status frames.
-
-    The pulse period, the sensor's delays, two steps of the firmware, the bus, and stated faults.
-    """
+    """Return the longest time in s until a motion shows in the status frames, with the stated delays."""
     sensor, controller = scenario.sensor, scenario.controller
     total_s = sensor.period_s + sensor.capture_s + sensor.delay_s
     late = max((f.late for f in scenario.sensor_fault if f.kind == "delayed"), default=0)

@@ -1,7 +1,4 @@
-"""Metrics of runs beside each other, and a changed shipped scenario against itself as shipped.
-
-Checked by: tests/unit/sil/simulation/test_compared.py
-"""
+"""Metrics of runs beside each other, and a changed shipped scenario against itself as shipped."""
 
 from __future__ import annotations
 

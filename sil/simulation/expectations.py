@@ -165,10 +165,7 @@ def evaluate(
     metrics: dict[str, Any],
     last_request: GearName | None = None,
 ) -> list[Check]:
-    """Return one Check per expectation, after those that the run did anything at all.
-
-    last_request: the gear that the driver requested last.
-    """
+    """Return one Check per expectation, after those that the run did anything; last_request: the last gear."""
     least, visited = wanted.min_frames, observed.visited
     checks = [
         _check(f"{kind.__name__} frames on the bus", count, {"min": least}, count >= least)

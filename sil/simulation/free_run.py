@@ -59,10 +59,9 @@ class FreeRun:
         say: Say,
         closing: contextlib.ExitStack,
     ) -> None:
-        """Open the bus and start the processes of plant and controller, unless they are external.
+        """Open the bus and start plant and controller, unless external; `closing` ends and closes them.
 
-        `closing` ends and closes them. Raises InputError for what only a lockstep run has, or for a
-        channel that cannot exist.
+        Raises InputError for what only a lockstep run has, or for a channel that cannot exist.
         """
         scenario = loaded.scenario
         faults = {key: getattr(scenario, key) for key in FAULT_TABLES}  # at instants of the run,
@@ -104,10 +103,7 @@ class FreeRun:
                 self._children.append(ChildProcess(participant, command))
 
     def run(self, record: Callable[[list[BusFrame]], None]) -> RunSummary:
-        """Wait until plant and controller are on the bus, then run; `record` receives each frame.
-
-        Raises ParticipantLost when one does not come or its process ends.
-        """
+        """Wait for plant and controller, then run; `record` receives each frame. Raises ParticipantLost."""
         self._wait_for_all()
         duration_ns = to_ns(self._loaded.scenario.duration_s)
         for name in build.participant_names(self._loaded.scenario):
@@ -242,10 +238,7 @@ class FreeRun:
 
 
 def jitter(arrivals: Sequence[int], period_ns: int) -> dict[str, float | int | None]:
-    """Return how far the distances of a message's frames are from its period, in s.
-
-    Where frames are missing, the distance is that from a whole number of periods. None for all with fewer than two frames.
-    """
+    """Return how far a message's frames are from whole periods, in s; None with fewer than two frames."""
     if len(arrivals) < 2:
         return dict.fromkeys(("missing", "jitter_p50_s", "jitter_p99_s", "jitter_max_s"))
     steps = np.diff(arrivals)

@@ -1,9 +1,8 @@
 """What counts as an impact: one definition for the metrics of runs, tunings and bounds.
 
-An event of the motion that turns kinetic energy to heat is an impact: of the stay on a stop, of a
-piston on its stop, on a nut or on a collar. Two that every stroke has are not counted: the stay on
-the synchronizer's block, and the first contact of the driving piston, which picks up the stay at rest.
-A stop is as soft as the hardest impact that counts.
+An impact turns kinetic energy to heat: of the stay on a stop, of a piston on its stop, a nut or a collar.
+Not counted: the stay on the synchronizer's block, and the driving piston's first contact, which picks up
+the stay at rest. A stop is as soft as the hardest impact that counts.
 """
 
 from __future__ import annotations

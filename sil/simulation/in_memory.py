@@ -1,8 +1,4 @@
-"""A scenario run in memory: the CAN path and equations of `opc4 run`, without files or pictures.
-
-Sweeps use it; a test holds it equal to `opc4 run`, trace hash included.
-Checked by: tests/unit/sil/simulation/test_in_memory.py
-"""
+"""A scenario run in memory: the CAN path and equations of `opc4 run`, without files or pictures."""
 
 from __future__ import annotations
 
@@ -128,10 +124,7 @@ class Run:
 
 
 def run_in_memory(loaded: Loaded) -> Run:
-    """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
-
-    Raises InputError if the scenario is not valid, RunError if a participant fails.
-    """
+    """Run a scenario as `opc4 run` does in one process. Raises InputError, or RunError if a participant fails."""
     loop = Loop(loaded)
     loop.finish()
     return finished(loop)
@@ -179,10 +172,7 @@ def checks_of(
 
 
 def _too_short(loaded: Loaded) -> str:
-    """Return by how much a run is too short for its last request: by a longer run of the same scenario.
-
-    Empty if there can be none: a guest takes part, it would take long, or its firmware fails.
-    """
+    """Return by how much a run is too short for its last request, empty if no longer run can tell."""
     scenario, longer_s = loaded.scenario, 3.0
     last, end_s = scenario.request[-1], scenario.duration_s
     if scenario.bus.guest or end_s > PIECE_S:

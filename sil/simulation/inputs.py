@@ -1,7 +1,4 @@
-"""Everything that runs depend on, by content: what a resumed study or swarm has to have again.
-
-Checked by: tests/unit/sil/simulation/test_inputs.py
-"""
+"""Everything that runs depend on, by content: what a resumed study or swarm has to have again."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ def input_digests(tables: Mapping[str, Any], folders: Sequence[Path]) -> dict[st
     texts = {name: json.dumps(t, sort_keys=True, default=str) for name, t in tables.items()}
     digests = {name: _hash(text) for name, text in texts.items()}
     digests |= {str(path): _hash(path.read_bytes()) for path in files}
-    return digests | {"the program": _program()} | versions()
+    return digests | {"the program": program_hash()} | versions()
 
 
 def changed_inputs(before: dict[str, str], now: dict[str, str]) -> list[str]:
@@ -43,8 +40,8 @@ def _hash(content: str | bytes) -> str:
     return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
-def _program() -> str:
-    """Return the hash of this program's own files, changed since or not of another version."""
+def program_hash() -> str:
+    """Return the hash of this program's own files."""
     root, digest = Path(__file__).parents[2], hashlib.sha256()
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*")):

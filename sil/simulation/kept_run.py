@@ -1,7 +1,4 @@
-"""A run that was written to a folder, read back for comparisons: result, trace, and its events by time after the request.
-
-Checked by: tests/unit/sil/cli/test_compare.py
-"""
+"""A run that was written to a folder, read back for comparisons: result, trace, events after the request."""
 
 from __future__ import annotations
 

@@ -40,22 +40,17 @@ def shipped() -> dict[str, Path]:
 
 
 class Overrides(TypedDict, total=False):
-    """What replaces values of a scenario file."""
+    """What replaces values of a scenario file: model of the plant, values by path, files of effects, seed."""
 
     model: str | None
-    """Parameter set or model file of the plant."""
     settings: Settings
-    """Values by path: of the scenario, firmware (controller...), sensor, bus, or model (valve.D_fall)."""
     effects: Sequence[str]
-    """Files of a user's own effects."""
     seed: int | None
-    """Seed of all random numbers."""
 
 
 def load(where: str, **given: Unpack[Overrides]) -> Loaded:
-    """Load a scenario file, or a shipped scenario by name, and apply overrides.
+    """Load a scenario file, a result.json, or a shipped scenario by name, and apply overrides.
 
-    A result.json is loaded as the scenario that it holds.
     Raises InputError naming file and key, what is wrong and what was expected.
     """
     table, path = read(where)
@@ -64,17 +59,23 @@ def load(where: str, **given: Unpack[Overrides]) -> Loaded:
 
 def read(where: str) -> tuple[dict[str, Any], Path]:
     """Return a scenario file, or a shipped scenario by name, as parsed, and its path."""
-    path = find(where)
-    return _read(path), path
+    path = _path_of(where)
+    if path.suffix != ".json":
+        return typed_toml.read_toml(path), path
+    try:
+        result = parse_json(path.read_text(encoding="utf-8"))
+        table = result["scenario"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: scenario: not a table; expected that of a result.json")
+    return table, path
 
 
 def from_table(
     table: Mapping[str, Any], source: str, *, folder: Path = Path(), **given: Unpack[Overrides]
 ) -> Loaded:
-    """Build a scenario from a parsed file; `source` names it, `folder` holds its model files.
-
-    Raises InputError as `load` does.
-    """
+    """Build a scenario from a parsed file of this `source`, model files in `folder`. Raises InputError as `load`."""
     model, seed = given.get("model"), given.get("seed")
     settings, effects = given.get("settings", {}), given.get("effects", ())
     raw = copy.deepcopy(dict(table))
@@ -95,12 +96,12 @@ def from_table(
     if seed is not None:
         raw["seed"] = seed
         scenario = _checked(raw, "--seed")
+    for path, value in settings.items():
+        value = value.tolist() if hasattr(value, "tolist") else copy.deepcopy(value)  # numpy
+        _apply(raw, path, value, parameters)
+        if path == "sensor.period_s" and f"controller.{path}" not in settings:
+            _inside(raw, "controller", "sensor").pop("period_s", None)
     if settings:
-        for setting_path, value in settings.items():
-            value = value.tolist() if hasattr(value, "tolist") else copy.deepcopy(value)  # numpy
-            _apply(raw, setting_path, value, parameters)
-            if setting_path == "sensor.period_s" and f"controller.{setting_path}" not in settings:
-                _inside(raw, "controller", "sensor").pop("period_s", None)
         typed_toml.refuse_not_finite(raw, "--set")
         scenario = _checked(raw, "--set")
         if scenario.firmware:
@@ -110,8 +111,7 @@ def from_table(
     return Loaded(scenario, _overridden(parameters, scenario.model, source, settings), source)
 
 
-def find(where: str) -> Path:
-    """Return the file of a scenario given by path or by shipped name. Raises InputError."""
+def _path_of(where: str) -> Path:
     path = Path(where)
     with contextlib.suppress(OSError, ValueError):  # a name too long, or with a null byte
         if path.is_file():
@@ -123,19 +123,6 @@ def find(where: str) -> Path:
         what = "a folder" if path.is_dir() else "not found"
         raise InputError(f"{typed_toml.one_line(where)}: file: {what}; expected a scenario file")
     raise InputError(f"{typed_toml.one_line(where)}: scenario: {unknown_name(where, scenarios)}")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    if path.suffix != ".json":
-        return typed_toml.read_toml(path)
-    try:
-        result = parse_json(path.read_text(encoding="utf-8"))
-        table = result["scenario"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
-    if not isinstance(table, dict):
-        raise InputError(f"{path}: scenario: not a table; expected that of a result.json")
-    return table
 
 
 def _checked(raw: dict[str, Any], source: str) -> Scenario:
@@ -201,7 +188,9 @@ def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[
 def parameters_of(model_set: str, where: str) -> ParameterSet:
     """Return a parameter set whose effects are known. Raises InputError that begins with `where`."""
     try:
-        parameters = _nominal() if model_set == "nominal" else _load(model_set)
+        from plant.parameters import load_actuator
+
+        parameters = _nominal() if model_set == "nominal" else load_actuator(model_set)
         if parameters.effects:
             from plant.effects import check_effects
 
@@ -211,16 +200,12 @@ def parameters_of(model_set: str, where: str) -> ParameterSet:
         raise InputError(f"{where}: {typed_toml.one_line(str(error))}") from None
 
 
-def _load(model_set: str) -> ParameterSet:
-    from plant.parameters import load_actuator
-
-    return load_actuator(model_set)
-
-
 @functools.cache
 def _nominal() -> ParameterSet:
     """Return the set that every scenario starts from, which cannot be changed and is read once."""
-    return _load("nominal")
+    from plant.parameters import load_actuator
+
+    return load_actuator("nominal")
 
 
 def _overridden(
@@ -253,19 +238,18 @@ def _apply(raw: dict[str, Any], path: str, value: Any, parameters: ParameterSet)
     if not set_value(raw, Scenario, path, value):
         paths = [*leaf_paths(Scenario, raw), *parameters]
         near = nearest(path, paths, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
-        raise InputError(
-            f"--set {typed_toml.one_line(path)}: no such value; expected one of {', '.join(near)}, ..."
-        )
+        what = f"no such value; expected one of {', '.join(near)}, ..."
+        raise InputError(f"--set {typed_toml.one_line(path)}: {what}")
 
 
 def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
     """Set a strategy's own setting, nested ones too; the firmware refuses names it does not have."""
     *tables, name = path.split(".")
     try:
-        at = _inside(raw, "controller", "strategy_parameters", *tables)
+        table = _inside(raw, "controller", "strategy_parameters", *tables)
     except AttributeError:  # a value, not a table
         return False
-    if not isinstance(at, dict) or not name or "" in tables:
-        return False
-    at[name] = value
-    return True
+    is_settable = isinstance(table, dict) and "" not in (*tables, name)
+    if is_settable:
+        table[name] = value
+    return is_settable

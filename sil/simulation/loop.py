@@ -1,7 +1,4 @@
-"""The closed loop in memory: run to an instant, saved, restored, run to the end.
-
-Checked by: tests/unit/sil/simulation/test_loop.py
-"""
+"""The closed loop in memory: run to an instant, saved, restored, run to the end."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import json
 import pickle
 from collections.abc import Mapping
 from enum import Enum
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +24,9 @@ from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.transports.channel import InProcess
 from sil.files.atomic import write_atomically
-from sil.files.extras import ROOT
 from sil.recording.run_record import PlantEvent
 from sil.simulation import build
-from sil.simulation.inputs import PACKAGES
+from sil.simulation.inputs import PACKAGES, program_hash
 from sil.simulation.load_scenario import Loaded, from_table
 from sil.simulation.scenario import expanded
 from sil.simulation.state import State, Values
@@ -52,10 +48,7 @@ class _Events(list[PlantEvent]):
 
 
 class Loop:
-    """Plant, firmware, nodes and bus of a scenario, with all that was recorded up to an instant.
-
-    Raises InputError if the scenario is not valid.
-    """
+    """Plant, firmware, nodes and bus of a scenario, with all that was recorded. Raises InputError."""
 
     def __init__(self, loaded: Loaded) -> None:
         scenario = loaded.scenario
@@ -131,10 +124,7 @@ _MAKERS = (
 
 
 def save(loop: Loop, path: Path) -> None:
-    """Write a state: one line of JSON that says what made it, then the state.
-
-    Raises InputError for a firmware whose state cannot be saved.
-    """
+    """Write a state after a line of JSON that says what made it. Raises InputError for a firmware that has none."""
     try:
         state = pickle.dumps(loop.snapshot(), protocol=5)
     except TypeError:
@@ -179,16 +169,6 @@ def _made_by(loaded: Loaded) -> dict[str, str]:
     return {
         "firmware_sha256": hashlib.sha256(content).hexdigest(),
         "model_sha256": hashlib.sha256(json.dumps(model).encode()).hexdigest(),
-        "sources_sha256": _sources(),
+        "sources_sha256": program_hash(),
         "numpy": np.__version__,
     }
-
-
-@cache
-def _sources() -> str:
-    """Return the digest of all source files."""
-    digest = hashlib.sha256()
-    for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()

@@ -73,10 +73,9 @@ class Impact(msgspec.Struct, frozen=True, kw_only=True):
 class Shift(msgspec.Struct, frozen=True, kw_only=True):
     """One shift: instants in s of simulated time from request to confirmation; None = never.
 
-    arrived_s: from when on the stay is at its stop for `HOLD_S` at least, or to the end of the run.
-    confirmed_early_s: by how much the gear was confirmed before that, 0 if it was not;
-    None without confirmation. impact_speed_m_s, impact_energy_j: first impact of the stay on its
-    stop; `impact_worst_m_s` and the next two: the hardest of `impacts`, as a speed of the stay, energy, peak force.
+    arrived_s: at its stop for `HOLD_S` at least, or to the end. confirmed_early_s: by how much sooner it was
+    confirmed, None without confirmation. impact_...: first impact of the stay on its stop; impact_worst_...:
+    the hardest of `impacts`, as a speed of the stay, energy, peak force.
     """
 
     from_gear: str
@@ -111,10 +110,7 @@ def _first_past(values: Floats, level: float, rising: bool) -> int | None:
 
 
 def crossing(times: Floats, values: Floats, level: float, rising: bool) -> float | None:
-    """Return when sampled values [n] over times [n] in s first reach a level; None if never.
-
-    The unit of values is that of the level; between samples the line is straight.
-    """
+    """Return when values [n] over times [n] in s, linear in between, reach a level of their unit; None if never."""
     i = _first_past(values, level, rising)
     if not i:
         return None if i is None else float(times[0])
@@ -316,11 +312,7 @@ def _stop_event(
 def _lags(
     record: RunRecord, origin: float, goal: float, start: float, until: float
 ) -> list[float | None]:
-    """Return three pairs of lags in s at 10 % and 90 % of travel; None where there is none.
-
-    Averaged over the phase of the sampling, as held in this run, and from the bus log alone (the
-    plant's truth frames against the controller's status frames).
-    """
+    """Return pairs of lags in s at 10 % and 90 % of travel: phase-averaged, as held, and from the bus alone."""
     rising = goal > origin
     levels = [origin + share * (goal - origin) for share in (0.1, 0.9)]
     inside = _within(record.truth["time_s"], start, until)
@@ -362,9 +354,8 @@ def summary(
 ) -> dict[str, Any]:
     """Return the metrics of result.json.
 
-    `shift_time_s` is the time spent shifting: the sum over the shifts of request to arrival at the
-    stop, None when one of them never arrived. Impacts and early confirmation are the worst of all
-    shifts; lags are those of the last shift that completed.
+    `shift_time_s`: the sum over shifts of request to arrival, None when one never arrived. Impacts and early
+    confirmation: the worst of all shifts. Lags: of the last shift that completed.
     """
     times = [s.shift_time_s for s in shifts]
     speeds = [s.impact_speed_m_s for s in shifts if s.impact_speed_m_s is not None]

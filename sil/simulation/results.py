@@ -80,10 +80,7 @@ def write_result(result: Result, folder: Path) -> None:
 
 
 def junit_xml(result: Result) -> str:
-    """Return the result as a JUnit test suite: one case per expectation.
-
-    A run that did not finish is one case more, an error.
-    """
+    """Return a JUnit test suite: a case per expectation; a run that did not finish is one more, an error."""
     failed = [c for c in result.expectations if not c.passed]
     suite = ElementTree.Element(
         "testsuite",

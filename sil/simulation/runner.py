@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
+from msgspec.structs import replace
 
 from can_dbc.errors import InputError, RunError, os_error_text
 from can_dbc.messages import Gear
@@ -21,6 +21,7 @@ from sil.coupling.clock import to_ns, to_seconds
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.real_time import Pacer
+from sil.coupling.transports.channel import silent
 from sil.files.atomic import open_atomically, write_atomically
 from sil.files.progress import Progress
 from sil.firmware.cost import COST, cost_metrics, read_cost, write_cost
@@ -58,11 +59,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that has ended, complete or not.
-
-    `record`: the recorded run, or the first piece of one longer than
-    `sil.recording.run_reader.PIECE_S`; None if the plant recorded nothing.
-    """
+    """A run that has ended. `record`: of one longer than `PIECE_S` its first piece; None: nothing recorded."""
 
     result: Result
     record: RunRecord | None
@@ -78,17 +75,15 @@ def run(
     free_running: bool = False,
     external: Collection[str] = (),
     rules: Sequence[Rule] = RULES,
-    say: Say = lambda message: None,
+    say: Say = silent,
 ) -> Finished:
     """Run a scenario into an empty folder and write everything but pictures there.
 
-    `speed`: simulated seconds per wall second of a paced lockstep; None: as fast as possible. `rules`:
-    what the run is held to.
-    `free_running`: no lockstep, every node runs by its own clock on a real transport. A run
-    that a participant ends early is written too, marked incomplete with the reason; result.json is
-    written before the run begins, so that even a killed run is marked as incomplete.
-    Raises InputError if the scenario or the transport is not valid (the folder is then empty),
-    RunError if a participant cannot be started, and KeyboardInterrupt when all is written.
+    `speed`: simulated seconds per wall second of a paced lockstep; None: as fast as possible. `rules`: what
+    the run is held to. `free_running`: no lockstep, every node by its own clock. A run that ends early is
+    written too, marked incomplete with the reason, also one that is killed.
+    Raises InputError if scenario or transport is not valid (the folder is then empty), RunError if a
+    participant cannot be started, KeyboardInterrupt when all is written.
     """
     scenario = loaded.scenario
     begun = time.perf_counter()
@@ -143,25 +138,18 @@ def run(
             raise
         why = _reason(error, loaded, folder, bool(log.frames))
         interrupt = error if isinstance(error, KeyboardInterrupt) else None
-    bus_result = bus_figures(scenario, bus, plan) if free is None else free.figures()
-    base = msgspec.structs.replace(
-        base, warnings=[*contradictions(scenario), *overload(bus_result)]
-    )
     source = free or lockstep
-    lines = source.warnings if source is not None and summary is not None else []
-    for warning in (*lines, *(f"warning: {line}" for line in base.warnings)):
+    for warning in source.warnings if source is not None and summary is not None else ():
         say(warning)
-    finished = _judge(loaded, folder, base, why, log, bus_result, summary, begun, rules)
+    bus_result = bus_figures(scenario, bus, plan) if free is None else free.figures()
+    finished = _judge(loaded, folder, base, why, log, bus_result, summary, begun, rules, say)
     if interrupt is not None:
         raise interrupt
     return finished
 
 
 def resume(loop: Loop, folder: Path) -> Finished:
-    """Run a saved loop to its end and write the whole run, as `run` would have.
-
-    Raises InputError and RunError as `run` does.
-    """
+    """Run a saved loop to its end and write the whole run. Raises InputError and RunError as `run` does."""
     loaded, scenario = loop.loaded, loop.loaded.scenario
     begun = time.perf_counter()
     base = _begin(loaded, folder, "inproc")
@@ -187,7 +175,6 @@ def resume(loop: Loop, folder: Path) -> Finished:
         for event in loop.events:
             events(event.time_s, event.name, event.values)
     bus = bus_figures(scenario, loop.bus, loop.plan)
-    base = msgspec.structs.replace(base, warnings=[*contradictions(scenario), *overload(bus)])
     return _judge(loaded, folder, base, why, log, bus, summary, begun)
 
 
@@ -202,18 +189,13 @@ def _begin(loaded: Loaded, folder: Path, transport: str) -> Result:
         scenario=expanded(scenario),
         model={path: loaded.parameters[path].value for path in loaded.parameters},
     )
-    write_result(
-        msgspec.structs.replace(base, why="the run was cut off before it could say why"), folder
-    )
+    write_result(replace(base, why="the run was cut off before it could say why"), folder)
     write_atomically(folder / SCENARIO, json.dumps({"scenario": base.scenario}, indent=1))
     return base
 
 
 def _reason(error: BaseException, loaded: Loaded, folder: Path, has_frames: bool) -> str:
-    """Return why a run ended early.
-
-    Raises InputError, with the folder emptied, for input that a participant refused at the start.
-    """
+    """Return why a run ended early. Raises InputError for input that a participant refused at the start."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
     if isinstance(error, OSError):
@@ -246,6 +228,7 @@ def _judge(
     summary: RunSummary | None,
     begun: float,
     rules: Sequence[Rule] = RULES,
+    say: Say = silent,
 ) -> Finished:
     """Compute metrics and checks from the recorded run; write result.json and trace.csv."""
     scenario = loaded.scenario
@@ -255,15 +238,23 @@ def _judge(
     checks: list[Check] = []
     balances: dict[str, Any] = {}
     cost = read_cost(folder)
+    warnings = [*contradictions(scenario), *overload(bus)]
+    for line in warnings:
+        say(f"warning: {line}")
     with contextlib.ExitStack() as closing:
-        recorded = _reader(loaded, folder, closing)
-        if recorded is not None:
-            try:
-                observed, shifts, switchings, checked = _figures(
-                    scenario, rules, recorded, folder / "trace.csv"
-                )
-            except OSError as error:  # no room for trace.csv: plant.trace stays instead
-                recorded, why = None, why or os_error_text(error)
+        recorded = None
+        if (folder / PLANT_TRACE).exists():
+            constants, period_s = build.constants(loaded), scenario.trace_period_s
+            reader = RunReader(folder, SENDERS, constants=constants, trace_period_s=period_s)
+            recorded = closing.enter_context(reader)
+        try:
+            if recorded is not None and recorded.rows > 1:
+                path = folder / "trace.csv"
+                observed, shifts, switchings, checked = _figures(scenario, rules, recorded, path)
+            else:
+                recorded = None
+        except OSError as error:  # no room for trace.csv: plant.trace stays instead
+            recorded, why = None, why or os_error_text(error)
         if recorded is not None:
             bus["end_to_end"] = checked.counts()
             record, balances = recorded.piece(0), dict(recorded.balances)
@@ -285,15 +276,18 @@ def _judge(
     wall = time.perf_counter() - begun
     speed: dict[str, float] = {"wall_s": wall}
     if summary is not None:
-        speed["loop_wall_s"] = summary.wall_s
-        speed["simulated_per_wall"] = scenario.duration_s / summary.wall_s
-        speed["turns"] = summary.turns
+        speed |= {
+            "loop_wall_s": summary.wall_s,
+            "simulated_per_wall": scenario.duration_s / summary.wall_s,
+            "turns": summary.turns,
+        }
         if summary.lateness is not None:
             late = summary.lateness
             speed |= {f"late_{q}_s": getattr(late, f"{q}_s") for q in ("p50", "p99", "max")}
             speed["overruns"] = late.overruns
-    result = msgspec.structs.replace(
+    result = replace(
         base,
+        warnings=warnings,
         passed=passed,
         complete=complete,
         why=why,
@@ -312,17 +306,6 @@ def _judge(
         (folder / PLANT_TRACE).unlink()
     (folder / SCENARIO).unlink()
     return Finished(result, record, shifts)
-
-
-def _reader(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunReader | None:
-    """Return the recorded run, or None if the plant recorded fewer than two rows."""
-    if not (folder / PLANT_TRACE).exists():
-        return None
-    constants, period_s = build.constants(loaded), loaded.scenario.trace_period_s
-    recorded = closing.enter_context(
-        RunReader(folder, SENDERS, constants=constants, trace_period_s=period_s)
-    )
-    return recorded if recorded.rows > 1 else None
 
 
 def _figures(

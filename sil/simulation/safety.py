@@ -41,10 +41,7 @@ COLUMNS = (
 
 
 def fault_start_s(scenario: Scenario) -> float:
-    """Return the instant in s at which the first fault begins; infinity without one.
-
-    Load of other nodes and drifting clocks act from the start.
-    """
+    """Return when the first fault begins in s; 0 for load of others and drifting clocks, infinity without one."""
     clock = scenario.clock
     if scenario.bus.extra_load or clock.controller_ppm or clock.driver_ppm:
         return 0.0
@@ -55,10 +52,9 @@ def fault_start_s(scenario: Scenario) -> float:
 def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     """Return the safety figures of a finished run, by `COLUMNS`; NaN where there is none.
 
-    detected_after_s: from the first fault's start to the first status frame that reports a new
-    fault. coils_off_after_s: until the last coil was switched off. reported_gear: the valid report
-    at the end. both_filled_s: how long the chambers B and F were both filled. half_engaged: 1 if
-    the stay ended between its gears.
+    detected_after_s: from the first fault's start to the first report of a new one. coils_off_after_s: to the
+    last coil's switching off. reported_gear: valid at the end. both_filled_s: how long B and F were both
+    filled. half_engaged: 1 if the stay ended between its gears.
     """
     start = fault_start_s(scenario)
     truth = record.truth

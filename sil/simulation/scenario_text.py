@@ -1,7 +1,4 @@
-"""A scenario as the text of a scenario file: what differs from the defaults, and nothing else.
-
-Checked by: tests/unit/sil/simulation/test_scenario_text.py
-"""
+"""A scenario as the text of a scenario file: what differs from the defaults, and nothing else."""
 
 from __future__ import annotations
 
@@ -15,10 +12,7 @@ from sil.simulation.scenario import Scenario, expanded
 
 
 def scenario_toml(scenario: Scenario) -> str:
-    """Return the text of a file that loads as this scenario, without its expectations.
-
-    A model file and a user's own firmware are named as the scenario names them.
-    """
+    """Return the text of a file that loads as this scenario, without its expectations, files as it names them."""
     defaults = expanded(Scenario(name="-", duration_s=1.0, request=[]))
     table = _different(expanded(scenario), defaults)
     table.pop("expect", None)

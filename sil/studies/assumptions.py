@@ -1,7 +1,6 @@
 """The inferred numbers of the parameter file: which change together, and which decide no headline.
 
-A factor changes parameters that belong together, and what has to follow them. `NOT_VARIED` names the
-others, with the reason; a test sets them all to other values and finds every headline as it was.
+A test sets those of `NOT_VARIED` to other values and finds every headline as it was.
 """
 
 from __future__ import annotations

@@ -33,10 +33,7 @@ def check_baseline(file: StudyFile, source: str) -> None:
 
 
 def shown_rows(study: Study, table: Table) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the table that a reader sees: each metric and its difference to the baseline.
-
-    Of a large study its groups, with medians.
-    """
+    """Return head and rows of what a reader sees: metrics and differences to the baseline, or medians of groups."""
     metrics = [name for name in read_metrics(study)[:6] if np.isfinite(table.numbers[name]).any()]
     baseline = baseline_rows(study, table)
     if table.size <= MOST_LISTED_ROWS:

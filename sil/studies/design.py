@@ -47,11 +47,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SweptValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One swept value: a list of values, or a range (for designs: its bounds).
-
-    `scale` "log" spaces a range by equal ratios; "normal" makes its ends the 2.5 and 97.5 % points
-    of a normal distribution.
-    """
+    """One swept value: a list of values, or a range (for designs: its bounds)."""
 
     path: str
     """Value that is swept, by the path that --set takes."""
@@ -151,8 +147,7 @@ def design_points(design: Design, sweeps: Sequence[SweptValue]) -> list[tuple[Va
 def drawn_shares(design: Design, dimension: int) -> NDArray[np.float64]:
     """Return the points [points, dimension] of a design that draws, as shares of the ranges.
 
-    radial: centres, each followed by itself with one value after another replaced; both are drawn
-    independently: halves of one Sobol sequence are correlated where there are few.
+    radial: centres, each followed by itself with one value after another replaced, drawn independently.
     """
     from scipy.stats import qmc
 

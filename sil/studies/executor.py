@@ -1,7 +1,6 @@
 """Run the rows of a study, in order, over processes or a cluster, into a table that can be resumed.
 
-Rows are written in the order of their numbers, so one worker, two, or a cluster give the same bytes,
-and a killed sweep leaves a prefix that `resume` continues.
+One worker, two, or a cluster give the same bytes; a killed sweep leaves a prefix that `resume` continues.
 """
 
 from __future__ import annotations
@@ -82,8 +81,7 @@ def run_study(
 ) -> int:
     """Run the rows that are missing into folder/results.csv and return how many were run now.
 
-    Raises InputError if `folder` holds another study's rows, or a row cannot be set up; RunError
-    if a worker dies or the cluster cannot be reached.
+    Raises InputError for another study's rows or a row that cannot be set up, RunError if a worker dies.
     """
     path, begin = folder / RESULTS, 0
     inputs = study.input_digests()
@@ -139,10 +137,7 @@ def _run_sent_chunk(study: Study, numbers: tuple[int, int]) -> list[str]:
 
 
 def completed(study: Study, folder: Path) -> tuple[int, int]:
-    """Return how many whole rows of this study the folder's table holds, and their length in bytes.
-
-    Raises InputError if the table belongs to another study.
-    """
+    """Return the number of whole rows in a study's table and their bytes. Raises InputError for another's."""
     state = folder / STATE
     try:
         inputs = msgspec.convert(

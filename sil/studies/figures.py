@@ -46,11 +46,7 @@ def metric_of(name: str) -> Metric:
 
 
 def sweep_metric(sweep: SweptValue) -> Metric:
-    """Return how a swept value is shown; times are in ms.
-
-    Without `unit` and `label`, a parameter of the plant has its own unit and a setting that of its
-    name.
-    """
+    """Return how a swept value is shown, times in ms, without `unit` and `label` in its own unit."""
     unit = sweep.unit
     if not unit and not sweep.label:
         entry = load().entries.get(sweep.path)
@@ -104,10 +100,9 @@ def pareto_figure(
     table: Table,
     references: Mapping[str, Mapping[str, Mapping[str, float]]] | None = None,
 ) -> Figure:
-    """Return the first metric over each of the others shown first, with the front of each group.
+    """Return the first metric over each other one, with the front of each group: none better in both.
 
-    A row is on the front if no other of its group is better in both. references: figures that are
-    marked by name, by group.
+    references: figures that are marked by name, by group.
     """
     first, *others = read_metrics(study)
     title, unit, factor = metric_of(first)
@@ -136,11 +131,7 @@ def pareto_figure(
 
 
 def _lines_over(study: Study, table: Table, sweep: SweptValue) -> Stack | None:
-    """Return each metric over a swept value, None where it has one value only.
-
-    Where values repeat, a group of rows is a line of medians in a band from least to greatest;
-    otherwise each row is a dot.
-    """
+    """Return each metric over a swept value, groups as medians in a band where values repeat, else as dots."""
     across = sweep_metric(sweep)
     at = across.factor * table.numbers[sweep.path]
     if len(np.unique(at)) < 2:
@@ -194,8 +185,7 @@ def _group_looks(names: Sequence[str]) -> dict[str, tuple[str, bool]]:
 def choices_figure(study: Study, table: Table) -> Figure:
     """Return each metric by choice: a dot at the median, a line from least to greatest.
 
-    The kind of choice with the most options is along the axis; combinations of the others have a
-    colour each, or one for all if there are more than colours.
+    The kind of choice with the most options is the axis; combinations of the others have colours, if enough.
     """
     kinds = {name: name for name in study.file.groups}
     kinds |= {s.path: s.title for s in study.file.sweep if s.path in table.texts}

@@ -1,8 +1,6 @@
 """Simulate many command sequences under many loads in one batch: how hard each arrives, and when.
 
-The loads of a family differ in one unknown, and an event reveals which it is: on the gearbox the
-synchronizer's release.
-Checked by: tests/unit/sil/studies/test_policies.py
+The loads of a family differ in one unknown, which an event reveals: the synchronizer's release.
 """
 
 from __future__ import annotations
@@ -65,9 +63,8 @@ GEARBOX = Family(
 class Arrivals:
     """How command sequences arrive, each [sequences, loads]; speeds in m/s, times in s.
 
-    impact_stay_m_s: hardest stop of the stay. impact_worst_m_s: hardest of all impacts that count
-    (`sil.simulation.impacts`). All but revealed_s are infinite for an arrival that is too late or
-    does not last.
+    impact_stay_m_s: hardest stop of the stay; impact_worst_m_s: hardest impact that counts. All but revealed_s
+    are infinite for an arrival that is too late or does not last.
     """
 
     revealed_s: Floats
@@ -103,10 +100,7 @@ class LoadModel:
         return replace(self.strokes, switches=switches, duration_s=duration_s, **rows)
 
     def arrivals(self, strokes: Strokes) -> Arrivals:
-        """Simulate strokes [n] and judge their impacts; each figure [n].
-
-        A stroke has arrived if it is at its stop at the end.
-        """
+        """Simulate strokes [n]; each figure [n]. A stroke has arrived if it is at its stop at the end."""
         max_events = 96
         result = simulate_batch(strokes, event_room=max_events)
         events = np.moveaxis(result.events, 2, 0)
@@ -141,10 +135,7 @@ class FamilyModel:
         self._loads = len(setups)
 
     def arrivals(self, sequences: Sequence[Commands], limit_s: float = 0.5) -> Arrivals:
-        """Simulate each command sequence under every load; each figure [sequences, loads].
-
-        limit_s: what arrives later is too late.
-        """
+        """Simulate each sequence under every load; each [sequences, loads]; later than limit_s is too late."""
         of_load = np.tile(np.arange(self._loads), len(sequences))
         switches = np.repeat(self._switches(sequences), self._loads, axis=0)
         duration_s = np.full(len(of_load), limit_s + HOLD_S)

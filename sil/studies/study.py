@@ -60,10 +60,9 @@ class RowResult:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a finished study by name: texts, and numbers [rows] in the unit of their name.
+    """Columns of a finished study: texts, and numbers [rows] in the unit of their name, NaN for none.
 
-    Numbers that a row does not have are NaN. Texts are the choices, `outcome` and `reason`, and
-    swept values that are no numbers.
+    Texts are the choices, `outcome` and `reason`, and swept values that are no numbers.
     """
 
     texts: dict[str, list[str]]
@@ -215,10 +214,7 @@ class Study:
             yield StudyRow(number, names, settings)
 
     def run(self, row: StudyRow) -> RowResult:
-        """Run one row; one that cannot finish is returned with its reason.
-
-        Raises InputError, naming the row, for settings that no model or scenario accepts.
-        """
+        """Run one row; one that cannot finish has its reason. Raises InputError for wrong settings, naming the row."""
         try:
             return self.file.run(self, row)
         except InputError as error:

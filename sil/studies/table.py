@@ -52,8 +52,7 @@ def read_metrics(study: Study) -> list[str]:
 def baseline_rows(study: Study, table: Table) -> NDArray[np.int64] | None:
     """Return the number of the row that each row [rows] is compared with, None for a drawn design.
 
-    It has the values of `baseline`, else the first variant, strategy and swept values; and the same load,
-    unless `baseline` names one.
+    It has the values of `baseline`, else the first ones, and the same load unless `baseline` names one.
     """
     file = study.file
     if file.design.is_drawn:
@@ -80,10 +79,9 @@ def differences(table: Table, baseline: NDArray[np.int64], name: str) -> NDArray
 
 
 def summary(study: Study, table: Table) -> dict[str, Any]:
-    """Return counts of outcomes, reasons, and of each combination of choices the figures.
+    """Return counts of outcomes, reasons, and figures of each combination of choices.
 
-    A figure is its least, median and greatest value over the rows of the combination, and the median
-    difference to the rows in the baseline's place.
+    Figures: least, median, greatest, and the median difference to the rows in the baseline's place.
     """
     groups: dict[str, Any] = {}
     baseline = baseline_rows(study, table)
@@ -139,10 +137,7 @@ def share_interval(count: int, size: int) -> list[float]:
 
 
 def quantiles(values: NDArray[np.float64]) -> dict[str, list[float]]:
-    """Return the 5, 50 and 95 % quantiles of values [rows], each with its 95 % interval.
-
-    The ends of an interval are order statistics, which assume nothing of the distribution.
-    """
+    """Return the 5, 50 and 95 % quantiles of values [rows], each with a 95 % interval of order statistics."""
     ordered = np.sort(values[np.isfinite(values)])
     size, quantile = len(ordered), {}
     for share in (0.05, 0.5, 0.95) if size else ():

@@ -1,7 +1,4 @@
-"""The loads and the scatter under which policies are judged, many policies in one batch.
-
-Checked by: tests/unit/sil/studies/bounds/test_judge.py
-"""
+"""The loads and the scatter under which policies are judged, many policies in one batch."""
 
 from __future__ import annotations
 
@@ -29,11 +26,7 @@ PLAIN = np.full((1, STEM_SIZE), -100.0)
 
 @dataclass(frozen=True)
 class Scatter:
-    """What differs in one shift from the nominal one.
-
-    shift_s: of all commands; rise_s, fall_s: of the plungers of B, N and F; factors: logarithms of
-    those on quantities of `plant.effects.tolerances`.
-    """
+    """What differs in one shift: commands (shift_s), plungers of B, N, F (rise_s, fall_s), logarithms of factors."""
 
     shift_s: float = 0.0
     rise_s: Sequence[float] = (0.0, 0.0, 0.0)
@@ -64,10 +57,9 @@ def drawn(parameters: ParameterSet, size: int = 32) -> tuple[Scatter, ...]:
 
 @dataclass(frozen=True)
 class Judgement:
-    """How policies arrive, each [policies, scatter, mesh forces, loads].
+    """How policies arrive, each [policies, scatter, mesh forces, loads]; infinite if not in gear at the end.
 
     impact_m_s: hardest impact in m/s; late_s: later than the plain push under the same load, in s.
-    Both are infinite if the stay is not in gear at the end.
     """
 
     impact_m_s: Floats
@@ -84,8 +76,7 @@ class Judgement:
 class Judge:
     """Loads and scatter, and when the plain push arrives under each.
 
-    impulses_n_s [impulses] in N s, ascending; mesh_n: forces in N, unknown to a policy; load: of the
-    stay, as in a campaign.
+    impulses_n_s [impulses] in N s, ascending; mesh_n: in N, unknown to a policy; load: of the stay.
     """
 
     def __init__(
@@ -126,7 +117,7 @@ class Judge:
         return switches_of(self.shifted(edges, scatter), rise_s, fall_s)
 
     def release_s(self, values: Floats, loads: slice = slice(None)) -> Floats:
-        """Return when loads let go under the stems of policies [policies, size], the end if never.
+        """Return when loads let go under stems of policies [policies, size], in s, the end if never.
 
         [policies, scatter, mesh forces, loads]; the synchronizer does not know the mesh force.
         """

@@ -1,12 +1,10 @@
 """A policy: pulses of the valves that know no load, and pulses that answer the release.
 
-The stem is the plain push with pulses at fixed times: closures of B, openings of N and F. When the
-release has been known for the information delay, what is left of the stem is cancelled, and pulses
-follow whose starts and lengths are piecewise linear functions of the instant of release.
-The values of a policy: for each valve the starts of the stem's pulses, then their lengths; then for
-each valve the same of the answer, for each knot. Their unit is 10 ms; a length counts from that of the
-shortest pulse that moves the plunger.
-Checked by: tests/unit/sil/studies/bounds/test_policy.py
+The stem is the plain push with pulses at fixed times: closures of B, openings of N and F. The information
+delay after the release, what is left of it is cancelled, and pulses follow whose starts and lengths are
+piecewise linear in the instant of release. Values: for each valve the starts of the stem's pulses, then
+their lengths; then for each valve the same of the answer, for each knot. Their unit is 10 ms; a length
+counts from that of the shortest pulse that moves the plunger.
 """
 
 from __future__ import annotations

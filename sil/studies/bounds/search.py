@@ -1,7 +1,4 @@
-"""Two unlike searches for the policy whose hardest stop is softest: CMA-ES and sequential linear programs.
-
-Checked by: tests/unit/sil/studies/bounds/test_search.py
-"""
+"""Two unlike searches for the policy whose hardest stop is softest: CMA-ES and sequential linear programs."""
 
 from __future__ import annotations
 
@@ -34,8 +31,8 @@ BEGINNINGS = 60
 class SearchProgress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What one of the searches has done, as it is stored.
 
-    knots_s, values [size]: its best policy; history: after each attempt the evaluations so far and, if
-    a policy arrives in time under all loads, the hardest stop in m/s of the best.
+    knots_s, values [size]: its best policy; history: after each attempt the evaluations so far and the
+    hardest stop in m/s of the best, if one arrives in time under all loads.
     """
 
     knots_s: list[float] = []
@@ -87,10 +84,7 @@ def random_stem(rng: np.random.Generator) -> Floats:
 
 
 class BoundProblem:
-    """What a policy is searched for: valves, delay of the information, mesh forces that may occur.
-
-    b_with_f: F may open while B pushes, as the firmware forbids. impulses_n_s: the least and the greatest.
-    """
+    """What a policy is searched for; b_with_f: F may open while B pushes; impulses_n_s: least and greatest."""
 
     def __init__(
         self,
@@ -167,10 +161,9 @@ class BoundProblem:
     def cma(
         self, progress: SearchProgress, evaluations: int, others: Sequence[SearchProgress] = ()
     ) -> SearchProgress:
-        """Return the progress after one more attempt of CMA-ES (library `cma`), with starts of its own.
+        """Return the progress after one more attempt of CMA-ES (library `cma`), four starts of which the best goes on.
 
-        The first stage has four starts, of which the best goes on. others: policies of other problems,
-        to begin with if they are better than random stems.
+        others: policies of other problems, to begin with if they are better than random stems.
         """
         import cma
 
@@ -240,10 +233,7 @@ class BoundProblem:
         change: float,
         radii: Floats,
     ) -> Floats:
-        """Return the steps [radii, places] that soften the hardest stop most, as linear programs see it.
-
-        change: of a value, for its derivatives. The latest arrival costs as in `cost_m_s`.
-        """
+        """Return steps [radii, places] that soften the hardest stop; change: of a value, for its derivatives."""
         from scipy.optimize import linprog
 
         n = len(places)
@@ -273,10 +263,7 @@ def softest_alone(
     evaluations: int,
     others: Sequence[SearchProgress] = (),
 ) -> SearchProgress:
-    """Return the softest policy that CMA-ES finds under one load, known in advance.
-
-    others: policies of other loads, to begin with.
-    """
+    """Return the softest policy that CMA-ES finds under one load, known in advance; others: to begin with."""
     problem = BoundProblem(
         parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s)
     )

@@ -1,7 +1,4 @@
-"""Stored policies: what the searches have done, and the strokes of the best policy as a campaign.
-
-Checked by: tests/unit/sil/studies/bounds/test_store.py
-"""
+"""Stored policies: what the searches have done, and the strokes of the best policy as a campaign."""
 
 from __future__ import annotations
 
@@ -26,10 +23,7 @@ SEARCHES: tuple[Search, ...] = get_args(Search)
 
 
 def read_progress(*folders: Path) -> dict[Search, SearchProgress]:
-    """Return what each search has done so far, by the first folder that has it.
-
-    Raises InputError for a file that is wrong.
-    """
+    """Return what each search has done, by the first folder that has it. Raises InputError for a wrong file."""
     paths = [folder / "policy.toml" for folder in folders]
     stored: dict[Search, SearchProgress] = {}
     for path in [path for path in paths if path.exists()][:1]:
@@ -56,8 +50,8 @@ def write_progress(folder: Path, progress: dict[Search, SearchProgress]) -> None
 def write_campaign(folder: Path, problem: BoundProblem, policy: SearchProgress) -> None:
     """Write strokes of a policy as campaign.toml, and model.toml with the delays of its valves.
 
-    Strokes: for commands early, as they are and late, and each mesh force, the least and the greatest
-    impulse and that of the hardest stop. Their labels state the stop.
+    For commands early, as they are and late, and each mesh force: the least and the greatest impulse and
+    that of the hardest stop, which the labels state.
     """
     judge, judgement = problem.judge, problem.judged(policy, problem.judge)
     release_s = judge.release_s(policy.policy).reshape(1, -1)

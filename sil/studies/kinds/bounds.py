@@ -1,9 +1,8 @@
 """Rows that are policies: how softly any controller could stop, as far as two searches have found.
 
 A row searches on from what is stored of it. Its figures are those of the softest policy that its valves
-can carry out: its own, or that of a row with later information or slower valves. Quicker valves move
-the plungers as slower ones do, only sooner by the difference of the opening delays, as does the plain
-push: each stop and each delay against that push is the same.
+can carry out: its own, or that of a row with later information or slower valves. Quicker valves move the
+plungers as slower ones do, only sooner, as does the plain push: stops and delays against it are the same.
 """
 
 from __future__ import annotations
@@ -182,10 +181,7 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
 
 
 def judged(problem: BoundProblem, policy: SearchProgress) -> dict[str, float]:
-    """Return the hardest stops of a policy in each judgement, and those of the plain push.
-
-    Under the draws a policy may be later than allowed; the share of such strokes is a figure of its own.
-    """
+    """Return the hardest stops of a policy in each judgement, those of the plain push, and late draws' share."""
     judges = {
         "worst_m_s": problem.judge,
         "exact_m_s": problem.judge_of(NOMINAL),

@@ -1,8 +1,8 @@
 """Rows that are latency budgets: the delays between first motion and first counter-force of a shift.
 
-Each delay is read from a simulated run (frames, truth, plant) and computed in closed form from the
-settings alone. The slack is the time from first motion to the stop, less all delays. Thesis 4.2.1
-counts 30 ms for the sensor, 10 ms for the velocity and 8 ms for the valve against about 40 ms.
+Each delay is read from a run and computed in closed form from the settings. The slack is the time from
+first motion to the stop, less all delays. Thesis 4.2.1 counts 30 ms for the sensor, 10 ms for the velocity
+and 8 ms for the valve against about 40 ms.
 """
 
 from __future__ import annotations
@@ -64,11 +64,7 @@ class BudgetStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         return (*totals, *map(simulated, BARS), *map(closed, BARS), "failed")
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Return the budget of a row; a shift that never arrives has none and counts as failed.
-
-        Raises InputError for settings that the scenario does not accept, RunError if a participant
-        dies.
-        """
+        """Return the budget of a row; one that never arrives has failed. Raises InputError and RunError."""
         try:
             return RowResult(budget_of(study.loaded, row.settings) | {"failed": 0.0})
         except NoBudgetError as error:
@@ -90,10 +86,7 @@ def closed(bar: str) -> str:
 
 
 def filter_delay_s(config: FilterConfig) -> float:
-    """Return the delay of slow signals in a controller's Butterworth low-pass, 0 without one.
-
-    1 / (2 pi fc sin(pi / 2n)).
-    """
+    """Return the delay of a Butterworth low-pass for slow signals, 1 / (2 pi fc sin(pi / 2n)), 0 without one."""
     if not config.enabled:
         return 0.0
     return 1.0 / (2.0 * math.pi * config.fc_hz * math.sin(math.pi / (2.0 * config.order)))
@@ -119,10 +112,7 @@ def filling_simulated_s(parameters: ParameterSet, supply_pa: float, rise_pa: flo
 
 
 def _report_age_s(run: Run, parameters: ParameterSet) -> float:
-    """Return the time from a pulse's measurement to the release of its report, read from the run.
-
-    The report whose position moved most is searched in the true positions.
-    """
+    """Return the time from measurement to release of the report whose position moved most, read from the run."""
     reports, truth = run.record.of(PositionPulse), run.record.truth
     t_mid_s, slope_s_m, warmth_1_k, reference_k = (
         parameters.value(f"position_sensor.{name}")
@@ -148,11 +138,10 @@ def _next(entries: Sequence[tuple[BusFrame, object]], at_ns: int) -> BusFrame:
 def budget_of(load: Callable[[Settings], Loaded], settings: Settings) -> dict[str, float]:
     """Return the delays of a scenario's last shift from its first motion on, by column, in s.
 
-    window_s: from first motion to the stop; last_part_s: from the end of the synchronizer's block,
-    the only part whose load is known (4.2.1); slack: what the delays leave of them. The filter's
-    delay is how much later the estimated position passes 90 % of the travel than in the same run
-    without the filter. Pressure build-up: to 1 bar in the neutral chamber, about 250 N on the piston.
-    `load` returns the scenario with settings.
+    window_s: from first motion to the stop; last_part_s: from the end of the synchronizer's block, the only
+    part whose load is known (4.2.1); slack: what the delays leave. The filter's delay: how much later the
+    estimate passes 90 % of the travel than without it. Pressure build-up: to 1 bar in the neutral chamber,
+    about 250 N on the piston. `load` returns the scenario with settings.
     Raises NoBudgetError if the shift does not arrive, RunError if a participant dies.
     """
     loaded = load(settings)

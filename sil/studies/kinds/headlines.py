@@ -61,10 +61,7 @@ def shipped_headlines() -> tuple[Headline, ...]:
 
 
 class RowConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a row changes of all strokes and shifts; None: as each headline has it.
-
-    impulse_factor: on what the synchronizer asks for; scatter_factor: on the scatter of a study.
-    """
+    """What a row changes; None: as each headline has it. Factors: on the synchronizer's impulse, a study's scatter."""
 
     supply_pressure_pa: Annotated[float, msgspec.Meta(ge=1e5)] | None = None
     mesh_force_n: NotNegative | None = None
@@ -86,10 +83,7 @@ class Case:
         self._arrivals: dict[str, Arrivals] = {}
 
     def margin(self, headline: Headline) -> float:
-        """Return by how much a headline holds; what two headlines share is measured once.
-
-        Raises InputError for settings that a scenario does not accept, RunError if a run fails.
-        """
+        """Return by how much a headline holds, shared parts measured once. Raises InputError and RunError as a run."""
         return self._value(headline.more) - self._value(headline.less)
 
     def _value(self, measure: Measure) -> float:
@@ -143,10 +137,7 @@ class Case:
                 yield file.scenario, {**row.settings, **changes}
 
     def _last_shift(self, scenario: str, settings: Settings) -> tuple[float, float]:
-        """Return hardest impact in m/s and arrival in s of a scenario's last shift.
-
-        One that does not arrive counts as 2 m/s, harder than every impact, and 1 s.
-        """
+        """Return hardest impact in m/s and arrival in s of the last shift; without arrival 2 m/s and 1 s."""
         conditions, changes = self.conditions, dict(settings)
         plain = load_scenario.load(scenario, settings=settings).scenario
         if conditions.supply_pressure_pa is not None:

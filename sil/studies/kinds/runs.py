@@ -38,11 +38,7 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
         return (*shift, *safety.COLUMNS) if self.safety else shift
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Run a row as `opc4 run` with the row's settings does.
-
-        Raises InputError for settings that the scenario does not accept, RunError if a participant
-        dies.
-        """
+        """Run a row as `opc4 run` with its settings does. Raises InputError for wrong ones, RunError if it fails."""
         loaded = study.loaded(row.settings)
         run = run_in_memory(loaded)
         last = run.shifts[-1] if run.shifts else None

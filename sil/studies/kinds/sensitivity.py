@@ -1,10 +1,9 @@
 """Rows that weigh assumptions: by how much each headline holds under other inferred numbers.
 
-A row sets parameters of the model, `factor.NAME` (see `sil.studies.assumptions`), conditions of the
-strokes, `stroke.NAME` (`sil.studies.kinds.headlines.RowConditions`), and filter and latency of the runs in
-closed loop. Each figure is a margin: the headline holds where it is positive. Designs:
-`one_at_a_time` gives the range in which each headline holds; `radial` gives Sobol's total indices by
-Jansen's estimator, with bootstrapped intervals.
+A row sets parameters of the model, `factor.NAME` (`sil.studies.assumptions`), `stroke.NAME`
+(`RowConditions` of headlines), and filter and latency of the runs. Figures are margins, positive where the
+headline holds. Designs: `one_at_a_time` gives the range in which it holds; `radial` Sobol's total indices
+by Jansen's estimator, with bootstrapped intervals.
 """
 
 from __future__ import annotations
@@ -65,11 +64,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         return (*(headline.name for headline in self.headlines), "failed")
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Return the margin of each headline under the row's parameters.
-
-        Raises InputError for settings that no model accepts, RunError if the equations cannot be
-        solved.
-        """
+        """Return each headline's margin. Raises InputError for wrong settings, RunError if equations are not solved."""
         case = self._case(row)
         margins = {headline.name: case.margin(headline) for headline in self.headlines}
         missing = [name for name, margin in margins.items() if not math.isfinite(margin)]
@@ -163,10 +158,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         return {"sensitivity.md": "\n".join(lines) + "\n"}
 
     def _weighed(self, table: Table, name: str) -> Iterator[tuple[float, float, str]]:
-        """Yield low and high end of each swept value's influence on a headline, and the same in words.
-
-        Of a radial design it is the interval of the total index, of the other the range of margins.
-        """
+        """Yield the ends of each swept value's influence (margins, or the index's interval), and that in words."""
         margins = table.numbers[name]
         if self.radial:
             for index, low, high in total_indices(margins, len(self.sweep)):
@@ -206,10 +198,7 @@ def total_indices(margins: Floats, parameters: int) -> Floats:
 
 
 def holds(values: Floats, margins: Floats) -> str:
-    """Return between which swept values a headline holds: "always", "never" or ranges.
-
-    values [n]: swept, in the unit of their path; margins [n]: of the headline, in its unit.
-    """
+    """Return between which swept values [n] the margins [n], each in its unit, are positive: "always", "never", ranges."""
     order = np.argsort(values)
     x, good = values[order], margins[order] > 0.0
     if good.all() or not good.any():
@@ -221,9 +210,9 @@ def holds(values: Floats, margins: Floats) -> str:
 
 
 def in_words(values: Floats, margins: Floats, digits: int) -> str:
-    """Return the range of a headline's margins over swept values [n], bold with `holds` if it turns.
+    """Return the range of margins over swept values [n], bold with `holds` if it turns; NaN did not run.
 
-    A range that is below half of the last digit is no effect. NaN: the row did not run.
+    A range that is below half of the last digit is no effect.
     """
     ran = np.isfinite(margins)
     if not ran.any():

@@ -91,10 +91,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
         )
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Simulate a stroke and return its figures.
-
-        Raises InputError for wrong settings, RunError if the equations cannot be solved.
-        """
+        """Simulate a stroke. Raises InputError for wrong settings, RunError if the equations cannot be solved."""
         table, stroke = self._stroke(row.settings)
         impact = stroke.impact
         driving, opposing = table.chambers
@@ -121,10 +118,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
         return RowResult(figures, "failed", f"the stay met no stop within {table.until_s:g} s")
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:
-        """Return metrics over sweeps and choices, of up to 12 strokes also these over time.
-
-        A front has the actuator of the base next to it, with and without the oil damper.
-        """
+        """Return metrics over sweeps and choices, up to 12 strokes over time; a front beside the base, damped too."""
         figures = swept_figures(study, table)
         if "pareto" in figures:
             figures["pareto"] = pareto_figure(study, table, self._references(study, table))
@@ -149,10 +143,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
             raise RunError(str(error)) from None
 
     def _references(self, study: Study, table: Table) -> dict[str, dict[str, Mapping[str, float]]]:
-        """Return the figures of each group with nothing swept, without load and with the oil damper.
-
-        A swept effect is absent as a whole; what is no stroke without the swept values is left out.
-        """
+        """Return the figures of each group with nothing swept, effects absent, without load and with the damper."""
         groups: dict[str, dict[str, Mapping[str, float]]] = {}
         swept = {_whole(sweep.path) for sweep in self.sweep}
         first = {int(rows[0]): label for label, rows in study.row_groups(table).items()}

@@ -1,18 +1,16 @@
 """Rows that are tunings: the best parameters of a strategy on one hardware, over all loads together.
 
-Every strategy gets the same number of candidates, the same loads and the same cost. Half of the
-candidates are the shipped defaults and points of a scrambled Sobol sequence over the ranges of the
-free parameters. The other half are points around the best so far, in boxes that shrink from a
-quarter to a twentieth of each range. Each candidate is run in closed loop under every load.
+Every strategy gets the same number of candidates, the same loads and the same cost. Half of them are the
+shipped defaults and points of a scrambled Sobol sequence over the ranges of the free parameters, half
+points around the best so far, in boxes that shrink from a quarter to a twentieth of each range. Each is
+run in closed loop under every load.
 
-The cost of a load is the speed of its hardest impact (`sil.simulation.impacts`) plus `late_m_s2`
-times the time lost against the open loop beyond `free_s`, which is about the price of the oil
-damper. A failed shift, or one that is confirmed before it has arrived, costs 10 m/s. The cost of a
-candidate is half the worst of the loads and half their mean: the worst is what the hardware has to
-withstand, but alone it cannot rank candidates that leave it unchanged.
+The cost of a load is the speed of its hardest impact (`sil.simulation.impacts`) plus `late_m_s2` times the
+time lost against the open loop beyond `free_s`, about the price of the oil damper. A shift that failed or
+was confirmed too early costs 10 m/s. A candidate costs half the worst of the loads and half their mean:
+the worst alone cannot rank candidates that leave it unchanged.
 
-Strategies with a model are given the valve delays and the age of a sample of their hardware, not the
-load.
+Strategies with a model know the valve delays and the age of a sample of their hardware, not the load.
 """
 
 from __future__ import annotations
@@ -142,10 +140,7 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         )
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Tune the strategy of a row; parameters left at their default are NaN.
-
-        Raises InputError for settings that the scenario does not accept.
-        """
+        """Tune the strategy of a row; parameters left at their default are NaN. Raises InputError."""
         strategy = strategy_of(row.settings)
         hardware = {k: v for k, v in row.settings.items() if k != "controller.strategy"}
         damped = hardware | {"plant.damper": "compressible"}
@@ -183,10 +178,7 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         return RowResult(figures, "failed" if reasons else "passed", "; ".join(reasons))
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:
-        """Return the worst impact of up to 64 rows over the loads of each family, as bars.
-
-        A family is what the names of loads have before their comma.
-        """
+        """Return the worst impact of up to 64 rows as bars, over the loads of each family (name before its comma)."""
         if table.size > 64:
             return {}
         families = list(dict.fromkeys(load.name.split(",")[0] for load in self.load))
@@ -244,10 +236,7 @@ def _nearby(
 
 
 def information_delay_s(hardware: Loaded) -> float:
-    """Return the shortest time from a position's measurement to the arrival of the answering command.
-
-    It includes the delay of the filter for slow signals, as the thesis counts it (4.2.1).
-    """
+    """Return the shortest time from a measurement to the answering command, the filter included (4.2.1)."""
     config = hardware.scenario.controller
     filter_s = filter_delay_s(config.filter)
     return sample_age_s(hardware) + filter_s + config.computation_s + BUS_S
@@ -300,10 +289,7 @@ def tune(
     reference: Sequence[LoadShift],
     table: TuningTable,
 ) -> list[Trial]:
-    """Return all candidates of a strategy, the best first.
-
-    cases: settings of each load; reference: the arrivals of the open loop under each.
-    """
+    """Return all candidates, the best first; cases: settings of each load; reference: open-loop arrivals."""
 
     def candidate(values: Mapping[str, float]) -> Trial:
         arrivals = tuple(run_case(load, strategy, values, case) for case in cases)
