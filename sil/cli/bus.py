@@ -109,9 +109,8 @@ def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...
     from sil.j1939.periods import measure_bus, names_of
     from sil.logs import Selection, open_logs
 
-    chosen = Selection.parse(
-        since=arguments.since, until=arguments.until, channels=arguments.channel
-    )
+    since, until = arguments.since, arguments.until
+    chosen = Selection.parse(since=since, until=until, channels=arguments.channel)
     log = open_logs(arguments.log, selection=chosen, show_progress=True)
     measured = measure_bus(log, log.path)
     names: dict[tuple[int, bool], str] = {}
@@ -127,24 +126,15 @@ def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...
             if m.cycle_time
         }
         if unnamed := len(measured.messages) - len(names):
-            notes.append(
-                f"{counted(unnamed, 'message')} not in {arguments.dbc}, shown by identifier"
-            )
+            unnamed_text = counted(unnamed, "message")
+            notes.append(f"{unnamed_text} not in {arguments.dbc}, shown by identifier")
     messages = []
     for message in measured.messages:
         key = message.can_id, message.extended
         name = names.get(key, f"{message.can_id:0{8 if message.extended else 3}X}")
         name += "" if message.periodic or key in stated else " ~"
-        messages.append(
-            PeriodicMessage(
-                name,
-                message.can_id,
-                stated.get(key, message.period_ns),
-                message.length,
-                message.jitter_ns,
-                extended=message.extended,
-            )
-        )
+        figures = stated.get(key, message.period_ns), message.length, message.jitter_ns
+        messages.append(PeriodicMessage(name, message.can_id, *figures, extended=message.extended))
     return tuple(messages), notes
 
 

@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     import msgspec
 
     from can_dbc.errors import InputError
-    from sil.cli.text_table import table_lines
+    from sil.cli.options import table_lines
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import close_folders, finite, prepare_folder
     from sil.report.compare_page import event_cells, head_of, write_page

@@ -17,6 +17,7 @@ import json
 import shlex
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,13 +70,17 @@ def run(arguments: argparse.Namespace) -> int:
         if not Path(item).exists():
             raise InputError(f"{item}: does not exist; expected a campaign folder or CAN logs")
     if all(Path(item).is_file() and Path(item).suffix != ".toml" for item in arguments.campaign):
-        if arguments.next:
-            raise InputError("--next: not with CAN logs; expected a campaign folder")
+        _refuse(arguments, ["next"], "not with CAN logs; expected a campaign folder")
         return run_logs(arguments)
-    for option in ("map", "dbc"):
-        if getattr(arguments, option):
-            raise InputError(f"--{option}: not together with a campaign; expected CAN logs")
+    _refuse(arguments, ["map", "dbc"], "not together with a campaign; expected CAN logs")
     return run_campaigns(arguments)
+
+
+def _refuse(arguments: argparse.Namespace, options: Sequence[str], why: str) -> None:
+    """Raise InputError if one of the options is given."""
+    for option in options:
+        if getattr(arguments, option) not in (None, False, [], "nominal"):
+            raise InputError(f"--{option}: {why}")
 
 
 def run_campaigns(arguments: argparse.Namespace) -> int:
@@ -98,25 +103,21 @@ def run_campaigns(arguments: argparse.Namespace) -> int:
         if is_force_rig(item):
             if len(folders) > 1:
                 raise InputError(f'{item}: rig = "force" among other campaigns; expected it alone')
-            for option, unset in (("model", "nominal"), ("next", False)):
-                if getattr(arguments, option) != unset:
-                    raise InputError(f'--{option}: not together with rig = "force"; expected none')
+            why = 'not together with rig = "force"; expected none'
+            _refuse(arguments, ["model", "next"], why)
             return run_force(arguments, item, stamps)
     campaign = joined([load_campaign(item) for item in folders])
     parameters = load(arguments.model)
     if arguments.next and arguments.out is not None:
-        held = sorted(path.name for path in (arguments.out / "next").glob("*.csv"))
-        if held:
-            raise InputError(f"{arguments.out / 'next'}: holds {held[0]}; expected another --out")
+        for path in sorted((arguments.out / "next").glob("*.csv"))[:1]:
+            raise InputError(f"{path.parent}: holds {path.name}; expected another --out")
     folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
-    workers = arguments.workers
+    workers, plan = arguments.workers, arguments.next
     with Progress(f"diagnosing {campaign.name}", "%", at_once=True) as progress:
-        plan = arguments.next
         result = diagnose(campaign, parameters, workers=workers, progress=progress, plan=plan)
     if result.extended is not None:
         write_atomically(folder / "extended_model.toml", result.extended)
-    options = " --next" if arguments.next else ""
-    again = f"{shlex.join(folders)} --model {arguments.model}{options}"
+    again = f"{shlex.join(folders)} --model {arguments.model}{' --next' if arguments.next else ''}"
     beyond = write_report(result, folder, again, arguments.model, workers)
     values = finite(result.as_json() | beyond | {"effects": stamps})
     if arguments.next:
@@ -129,28 +130,20 @@ def new_campaign(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import locked_folder, without_parent_steps
     from sil.inference.campaign.new_campaign import draft
 
-    for option, unset in (
-        ("out", None),
-        ("map", None),
-        ("dbc", None),
-        ("model", "nominal"),
-        ("effects", []),
-        ("next", False),
-    ):
-        if getattr(arguments, option) != unset:
-            raise InputError(f"--{option}: not together with --new, which only drafts a campaign")
-    if (arguments.new / "campaign.toml").exists() and not arguments.force:
-        what = "exists; expected a new folder, or --force to draft it anew"
-        raise InputError(f"{arguments.new / 'campaign.toml'}: {what}")
+    others = ("out", "map", "dbc", "model", "effects", "next")
+    _refuse(arguments, others, "not together with --new, which only drafts a campaign")
+    target: Path = arguments.new / "campaign.toml"
+    if target.exists() and not arguments.force:
+        raise InputError(f"{target}: exists; expected a new folder, or --force to draft it anew")
     path = without_parent_steps(arguments.new)
-    made = [each for each in (path, *path.parents) if not each.exists()]
+    new_folders = [each for each in (path, *path.parents) if not each.exists()]
     with locked_folder(path, "--new") as folder:
         try:
             files = [Path(file) for file in arguments.campaign]
             columns, asked = draft(folder, files, arguments.rig, arguments.force)
         except BaseException:
             with contextlib.suppress(OSError):  # what another program has put there stays
-                for each in made:
+                for each in new_folders:
                     each.rmdir()
             raise
     if arguments.json:

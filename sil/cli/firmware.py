@@ -12,8 +12,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.draft import NEW, write_draft
-from sil.cli.options import JSON, argument
+from sil.cli.options import JSON, NEW, argument, write_draft
 
 if TYPE_CHECKING:
     from sil.simulation.in_memory import Run

@@ -16,18 +16,19 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.draft import NEW, write_draft
 from sil.cli.options import (
     EFFECTS,
     FIRMWARE,
     JSON,
     MODEL,
+    NEW,
     OWN_RULES,
     SEED,
     SETTINGS,
     argument,
     out,
     say,
+    write_draft,
 )
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from can_dbc.typed_toml import convert
-from sil.cli.text_table import table_lines
+from sil.cli.options import table_lines
 from sil.files.quantity import counted
 from sil.simulation.fault_marks import fault_lines
 from sil.simulation.metrics import Shift

@@ -14,8 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sil.cli.draft import NEW, write_draft
-from sil.cli.options import EFFECTS, JSON, argument, out
+from sil.cli.options import EFFECTS, JSON, NEW, argument, out, write_draft
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
@@ -114,8 +113,8 @@ def _folder(study: Study, arguments: argparse.Namespace) -> Path:
 
 def _print_summary(study: Study, table: Table, result: dict[str, Any]) -> None:
     """Print the metrics of rows or groups, and why rows did not pass."""
-    from sil.cli.text_table import table_lines
-    from sil.studies.baseline import shown_rows
+    from sil.cli.options import table_lines
+    from sil.studies.study_page import shown_rows
 
     sentences = result.get("safe_states", ())
     for sentence in sentences:

@@ -26,7 +26,7 @@ from sil.coupling.free_running import FreeNode, epoch_s, frame_of, open_bus
 from sil.coupling.lockstep import RunSummary
 from sil.coupling.processes import ChildProcess
 from sil.coupling.transports.channel import ParticipantLost
-from sil.coupling.transports.relay import Relay
+from sil.coupling.transports.server import Relay
 from sil.coupling.transports.wire import GUEST
 from sil.files.quantity import counted
 from sil.recording.recorder import CLOCK_ZERO, EVENTS, PLANT_TRACE, EventLog, TraceWriter

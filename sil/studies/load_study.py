@@ -13,7 +13,6 @@ from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files.units import without_units
 from sil.firmware.load import absolute
 from sil.simulation import load_scenario
-from sil.studies.baseline import check_baseline
 from sil.studies.study import ScenarioStudy, Study, StudyFile, check_rows, filled
 
 
@@ -47,7 +46,7 @@ def load_study(
         file = structs.replace(file, effects=[load_effects(name) for name in files])
     load_scenario.parameters_of(file.model, f"{path}: model" if model is None else "--model")
     check_rows(file, str(path))
-    check_baseline(file, str(path))
+    _check_baseline(file, str(path))
     file.check(str(path))
     for k, name in enumerate(file.reads):
         if name not in file.columns():
@@ -59,6 +58,22 @@ def load_study(
             raise InputError(f"{path}: --firmware: the study runs no firmware; expected none")
         base = {**base[0], "firmware": absolute(firmware, Path())}, base[1]
     return Study(file, str(path), base)
+
+
+def _check_baseline(file: StudyFile, source: str) -> None:
+    """Refuse a baseline that no row has. Raises InputError naming key and value."""
+    values: dict[str, list[str]] = {
+        name: [choice.name for choice in choices] for name, choices in file.groups.items()
+    }
+    for sweep in () if file.design.is_drawn else file.sweep:
+        values[sweep.path] = list(map(str, sweep.levels()))
+    for key, value in file.baseline.items():
+        if key not in values:
+            raise InputError(f"{source}: baseline.{key}: {unknown_name(key, values)}")
+        if str(value) not in values[key]:
+            raise InputError(
+                f"{source}: baseline.{key}: {value!r}; expected one of {', '.join(values[key])}"
+            )
 
 
 def read_file(table: dict[str, Any], source: str) -> StudyFile:

@@ -28,8 +28,7 @@ from sil.cli import main
 from sil.j1939.management import PGN_CLAIM, PGN_DM1, TROUBLE_CODES, active_faults
 from sil.j1939.transport import Assembler
 from sil.logs.frame import LogFrame
-from sil.report.run_figure import run_figure
-from sil.report.vehicle_figure import without_torque
+from sil.report.run_figure import run_figure, without_torque
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import load
 from sil.simulation.runner import run

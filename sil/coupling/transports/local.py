@@ -18,7 +18,7 @@ from can_dbc.messages import StopReason
 from sil.coupling.clock import to_seconds
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.channel import silent
-from sil.coupling.transports.relay import epoch_ns
+from sil.coupling.transports.server import epoch_ns
 from sil.coupling.transports.wire import Kind
 
 ONLY_CHANNEL = "auto"

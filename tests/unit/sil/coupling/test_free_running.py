@@ -18,7 +18,7 @@ from sil.coupling.free_running import FreeNode, epoch_s, open_bus
 from sil.coupling.real_time import Pacer
 from sil.coupling.transports.channel import Received, Turn
 from sil.coupling.transports.local import LocalBus, RunEnded
-from sil.coupling.transports.relay import Relay, epoch_ns
+from sil.coupling.transports.server import Relay, epoch_ns
 
 MS = 1_000_000
 EPOCH = 1_700_000_000_000_000_000
