@@ -65,7 +65,6 @@ SENDERS = (*TURN_ORDER, "traffic", "intruder", GUEST)
 
 TIMEOUTS = Timeouts(start_s=300.0, answer_s=2.0, close_s=5.0)
 INITIAL = {"neutral": "N", "backward": "B", "forward": "F"}
-
 Say = Callable[[str], None]
 
 
@@ -101,14 +100,14 @@ def plant_config(scenario: Scenario) -> PlantConfig:
 
 def constants(loaded: Loaded) -> dict[str, float]:
     """Return what a record of a run holds besides what was recorded."""
-    plant, parameters = loaded.scenario.plant, loaded.parameters
+    plant, value = loaded.scenario.plant, loaded.parameters.value
     supply_pa = plant.supply_pressure_pa
     moving = ["length.m_s", "length.m_p", *(["truck.m_gearbox"] if plant.mounted else [])]
     return {
-        "supply_pressure_pa": parameters.value("supply.P_s") if supply_pa is None else supply_pa,
-        "stroke_m": parameters.value("length.stroke"),
-        "free_travel_m": parameters.value("length.x_free_total"),
-        "moving_mass_kg": sum(map(parameters.value, moving)),
+        "supply_pressure_pa": value("supply.P_s") if supply_pa is None else supply_pa,
+        "stroke_m": value("length.stroke"),
+        "free_travel_m": value("length.x_free_total"),
+        "moving_mass_kg": sum(map(value, moving)),
     }
 
 
@@ -118,7 +117,6 @@ class RecordedPlant:
     name = "plant"
 
     def __init__(self, loaded: Loaded, folder: Path) -> None:
-        """Open the files.  Raises InputError if the plant refuses its settings."""
         from plant.errors import IntegrationError
         from plant.node import PlantNode
         from plant.trace import trace_columns
@@ -160,8 +158,7 @@ def make_participant(name: str, loaded: Loaded, folder: Path | None) -> Particip
     Plant and firmware in C record into `folder`; None: no records of the latter. Raises InputError for an
     unknown name, or if the participant refuses its settings.
     """
-    participant = _on_time(name, loaded, folder)
-    clock = loaded.scenario.clock
+    participant, clock = _on_time(name, loaded, folder), loaded.scenario.clock
     ppm, start_s = (getattr(clock, f"{name}_{what}", 0.0) for what in ("ppm", "start_s"))
     return Drifting(participant, ppm, round(start_s * 1e9)) if ppm or start_s else participant
 
@@ -190,10 +187,9 @@ def _on_time(name: str, loaded: Loaded, folder: Path | None) -> Participant:
         faults = [fault for fault in scenario.fault if isinstance(fault, Intrusion)]
         return IntruderNode(faults, scenario.bus.bitrate, scenario.seed)
     if name == GUEST:
-        raise InputError(
-            f"{loaded.source}: bus.guest: its program joins over a channel only; "
-            "expected opc4 run --transport local:NAME or a CAN interface"
-        )
+        expected = "expected opc4 run --transport local:NAME or a CAN interface"
+        what = "bus.guest: its program joins over a channel only"
+        raise InputError(f"{loaded.source}: {what}; {expected}")
     assert folder is not None
     return RecordedPlant(loaded, folder)
 
@@ -291,17 +287,17 @@ def open_channels(
 
         timeouts = dataclasses.replace(TIMEOUTS, answer_s=STEP_S + TIMEOUTS.answer_s)
     channel, local_name = channel_of(transport)
-    if local_name is None and ":" in channel:
+    opened: type[RemoteChannel]
+    if local_name is not None:
+        from sil.coupling.transports.hub import Hub as opened
+    elif ":" in channel:
         raise InputError(
             f"--transport {transport}: lockstep is for local buses and SocketCAN; expected local, "
             "local:NAME or the name of a CAN interface, or --realtime without --speed"
         )
-    opened: type[RemoteChannel]
-    if local_name is not None:
-        from sil.coupling.transports.hub import Hub as opened
     else:
         from sil.coupling.transports.socketcan import SocketCan as opened
-    where = channel if local_name is None else local_name
+    where = local_name or channel
     remote = opened(where, remote_names, scenario=number, timeouts=timeouts, say=say)
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
     for name in remote_names:
@@ -315,10 +311,10 @@ def open_channels(
 
 def channel_of(transport: str) -> tuple[str, str | None]:
     """Return the channel of a transport, and the name of its local bus; None for a CAN interface."""
-    kind, colon, name = transport.partition(":")
+    kind, _, name = transport.partition(":")
     if kind != "local":
         return transport, None
-    name = name if colon else f"run-{os.getpid()}"
+    name = f"run-{os.getpid()}" if transport == "local" else name
     return f"local:{name}", name
 
 
@@ -335,9 +331,8 @@ def node_command(
     Empty for one in `external`: `say` prints it for the user. The process runs this very code.
     """
     folder = resolved(folder) if name in external else folder
-    recording = ["--out", str(folder), *(["--force"] if name == "plant" else [])]
-    scenario = str(folder / SCENARIO)
-    words = ["node", name, "--channel", channel, "--scenario", scenario, *recording, *options]
+    words = ["node", name, "--channel", channel, "--scenario", str(folder / SCENARIO)]
+    words += ["--out", str(folder), *(["--force"] if name == "plant" else []), *options]
     if name in external:
         say(f"waiting for {name}: {shlex.join(['opc4', *words])}")
         return []

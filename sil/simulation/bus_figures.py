@@ -48,7 +48,7 @@ def scenario_messages(scenario: Scenario) -> tuple[PeriodicMessage, ...]:
     its faults (DM1) and, once a run, its address claims are among them; other nodes' traffic is not.
     """
     step = scenario.controller.period_ns
-    jitter = 0 if _BROADCAST_NS % step == 0 or step > _BROADCAST_NS else step
+    jitter = step if step <= _BROADCAST_NS and _BROADCAST_NS % step else 0
     periodic = contract_messages(periods_ns(scenario), dict.fromkeys(("Etc1", "Etc2"), jitter))
     if scenario.vehicle is None:
         return periodic
@@ -82,17 +82,17 @@ def message_rows(
 def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str, Any]:
     """Return load, counts, and per message: frames, longest response, worst case if not overloaded."""
     statistics = bus.statistics
-    worst: dict[int, int] = {}
+    longest_s = {can_id: ns / NS_PER_S for can_id, ns in statistics.longest_wait_ns.items()}
+    worst_s: dict[int, float] = {}
     with contextlib.suppress(InputError):
         responses = response_times(scenario_messages(scenario), scenario.bus.bitrate)
-        worst = {response.message.can_id: response.response_ns for response in responses}
+        worst_s = {each.message.can_id: each.response_ns / NS_PER_S for each in responses}
 
     def row(can_id: int, period_ns: int) -> dict[str, Any]:
-        longest, bound = statistics.longest_wait_ns.get(can_id), worst.get(can_id)
         return {
             "frames": statistics.sent.get(can_id, 0),
-            "longest_response_s": None if longest is None else longest / NS_PER_S,
-            "worst_case_s": None if bound is None else bound / NS_PER_S,
+            "longest_response_s": longest_s.get(can_id),
+            "worst_case_s": worst_s.get(can_id),
         }
 
     return {

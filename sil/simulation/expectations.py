@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
+from msgspec.structs import asdict
 
 from can_dbc.messages import (
     ControllerStatus,
@@ -60,8 +61,8 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def check(self, name: str, value: float | None, unit: str) -> Check:
         """Return the check of a named value against these limits."""
-        given = {k: v for k, v in (("min", self.min), ("max", self.max)) if v is not None}
-        return Check(name=name, passed=self.holds(value), value=value, limit=given, unit=unit)
+        limit = {key: end for key, end in asdict(self).items() if end is not None}
+        return Check(name=name, passed=self.holds(value), value=value, limit=limit, unit=unit)
 
 
 class Timing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"start": "from"}):
@@ -191,15 +192,13 @@ def evaluate(
     if wanted.faults is not None:
         names = sorted(f.name or "" for f in Fault if f and f in observed.faults)
         checks.append(_check("faults reported", names, sorted(wanted.faults)))
-    if wanted.valves_off_at_end is not None:
-        off = wanted.valves_off_at_end
+    if (off := wanted.valves_off_at_end) is not None:
         checks.append(_check("valves off at the end", observed.valves_off, off))
-    if wanted.states:
-        complete = set(wanted.states) <= set(visited)
-        checks.append(_check("states visited", visited, list(wanted.states), complete))
-    if wanted.never_states:
-        avoided = not set(wanted.never_states) & set(visited)
-        checks.append(_check("states never entered", visited, list(wanted.never_states), avoided))
+    if states := wanted.states:
+        checks.append(_check("states visited", visited, states, {*states} <= {*visited}))
+    if states := wanted.never_states:
+        avoided = not {*states} & {*visited}
+        checks.append(_check("states never entered", visited, states, avoided))
     if wanted.valves_opened is not None:
         expected = sorted(wanted.valves_opened, key=CHAMBERS.index)
         opened = sorted(observed.opened, key=CHAMBERS.index)

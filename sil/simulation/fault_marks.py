@@ -33,11 +33,9 @@ def fault_spans(scenario: Scenario) -> list[FaultSpan]:
 def _name(table: str, fault: Any) -> str:
     """Return e.g. "loss PositionPulse", "valve stuck open B"."""
     kind = str(fault.kind if hasattr(fault, "kind") else fault.__struct_config__.tag)
-    where = [
-        str(value) for key in ("message", "node", "valve") if (value := getattr(fault, key, ""))
-    ]
-    device = [] if table == "fault" else [table.removesuffix("_fault")]
-    return " ".join([*device, kind.replace("_", " "), *where])
+    where = [str(getattr(fault, key, "")) for key in ("message", "node", "valve")]
+    device = "" if table == "fault" else table.removesuffix("_fault")
+    return " ".join(filter(None, [device, kind.replace("_", " "), *where]))
 
 
 def detections(record: RunRecord) -> list[tuple[float, str]]:
@@ -60,10 +58,8 @@ def fault_lines(record: RunRecord, scenario: Scenario) -> list[str]:
     start_s = fault_start_s(scenario)
     reported = detections(record)
     for at_s, name in reported:
-        after = (
-            f", {quantity(at_s - start_s, 's', 3)} after the first fault began"
-            if at_s >= start_s
-            else ""
-        )
-        lines.append(f"controller reports {name} at {quantity(at_s, 's')}{after}")
+        line = f"controller reports {name} at {quantity(at_s, 's')}"
+        if at_s >= start_s:
+            line += f", {quantity(at_s - start_s, 's', 3)} after the first fault began"
+        lines.append(line)
     return lines if reported or not lines else [*lines, "the controller reported no fault"]

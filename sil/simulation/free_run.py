@@ -11,6 +11,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +42,6 @@ _SENDERS = {s.can_id: build.PARTICIPANT.get(s.senders[0], GUEST) for s in contra
 
 SETTLING_S = 1.0
 """The run begins this long after the last node has come, when all have received the others' frames."""
-
-
 _LOOK_S = 0.05
 _ROWS_AT_ONCE = 1 << 16
 
@@ -64,14 +63,9 @@ class FreeRun:
         Raises InputError for what only a lockstep run has, or for a channel that cannot exist.
         """
         scenario = loaded.scenario
-        faults = {key: getattr(scenario, key) for key in FAULT_TABLES}  # at instants of the run,
-        # which the clocks of the nodes do not know, as they do not how long chambers stay charged
-        lockstep = faults | {
-            "bus.guest": scenario.bus.guest,
-            "plant.charged": scenario.plant.charged,
-        }
-        for key, given in lockstep.items():
-            if given:
+        # the clocks of the nodes know neither instants of the run nor how long chambers stay charged
+        for key in (*FAULT_TABLES, "bus.guest", "plant.charged"):
+            if attrgetter(key)(scenario):
                 raise InputError(
                     f"{loaded.source}: {key}: of a lockstep run only; expected none on a free-running "
                     "bus, or --speed 1, which paces a lockstep run"
@@ -90,16 +84,14 @@ class FreeRun:
         if name is not None:
             closing.callback(Relay(name).close)
         if self._channel.startswith("virtual:"):
-            raise InputError(
-                f"--transport {transport}: inside one process; expected a bus that all nodes reach"
-            )
+            what = "inside one process; expected a bus that all nodes reach"
+            raise InputError(f"--transport {transport}: {what}")
         self._bus = open_bus(self._channel, bitrate=scenario.bus.bitrate)
         closing.callback(self._bus.shutdown)
         closing.callback(self._end_nodes)
         for participant in REMOTE:
-            if command := build.node_command(
-                participant, self._channel, folder, external, say, "--realtime"
-            ):
+            arguments = (participant, self._channel, folder, external, say, "--realtime")
+            if command := build.node_command(*arguments):
                 self._children.append(ChildProcess(participant, command))
 
     def run(self, record: Callable[[list[BusFrame]], None]) -> RunSummary:
@@ -122,16 +114,16 @@ class FreeRun:
         self._end_nodes()
         self._align_recordings()
         figures = self.figures()
-        for message in figures["messages"]:
-            if (message["missing"] or 0) > 0.05 * message["frames"]:
+        worst_s = 0.0
+        for m in figures["messages"]:
+            if (m["missing"] or 0) > 0.05 * m["frames"]:
                 self.warnings.append(
-                    f"{message['name']}: {counted(message['missing'], 'frame')} missing, {message['frames']} on "
+                    f"{m['name']}: {counted(m['missing'], 'frame')} missing, {m['frames']} on "
                     "the bus; this machine was too busy, or its sender was away"
                 )
-        if late := [
-            m for m in figures["messages"] if (m["jitter_max_s"] or 0.0) > 0.5 * m["period_s"]
-        ]:
-            worst_s = max(m["jitter_max_s"] for m in late)
+            if (m["jitter_max_s"] or 0.0) > 0.5 * m["period_s"]:
+                worst_s = max(worst_s, m["jitter_max_s"])
+        if worst_s:
             self.warnings.append(
                 f"frames up to {1e3 * worst_s:.1f} ms off their period: this machine was too busy "
                 "for limits on times"
@@ -162,10 +154,8 @@ class FreeRun:
         deadline = time.monotonic() + TIMEOUTS.start_s
         while missing:
             if time.monotonic() > deadline:
-                name = sorted(missing)[0]
-                raise ParticipantLost(
-                    name, f"sent nothing on {self._channel} within {TIMEOUTS.start_s:g} s"
-                )
+                what = f"sent nothing on {self._channel} within {TIMEOUTS.start_s:g} s"
+                raise ParticipantLost(min(missing), what)
             self._look_after_nodes()
             message = self._bus.recv(_LOOK_S)
             if message is not None and (frame := frame_of(message)):
@@ -244,12 +234,13 @@ def jitter(arrivals: Sequence[int], period_ns: int) -> dict[str, float | int | N
     steps = np.diff(arrivals)
     missing = max(round(steps.sum() / period_ns) - len(steps), 0)
     periods = np.maximum(np.rint(steps / period_ns), 1) if missing else 1
-    p50, p99, most = np.percentile(np.abs(steps - periods * period_ns) / NS_PER_S, [50, 99, 100])
+    off_s = np.abs(steps - periods * period_ns) / NS_PER_S
+    p50_s, p99_s, max_s = np.percentile(off_s, [50, 99, 100]).tolist()
     return {
         "missing": missing,
-        "jitter_p50_s": float(p50),
-        "jitter_p99_s": float(p99),
-        "jitter_max_s": float(most),
+        "jitter_p50_s": p50_s,
+        "jitter_p99_s": p99_s,
+        "jitter_max_s": max_s,
     }
 
 

@@ -54,12 +54,8 @@ class Run:
     @cached_property
     def checks(self) -> list[Check]:
         """The expectations of the scenario with their values and limits."""
-        return checks_of(
-            self.loaded,
-            Observed(circumstances(self.scenario), self.record),
-            self.shifts,
-            self.metrics,
-        )
+        observed = Observed(circumstances(self.scenario), self.record)
+        return checks_of(self.loaded, observed, self.shifts, self.metrics)
 
     @property
     def scenario(self) -> Scenario:
@@ -110,11 +106,11 @@ class Run:
         )
 
     def _repr_html_(self) -> str:
-        checks = (
+        rows = (
             ("met" if check.passed else "not met", check.name, quantity(check.value, check.unit))
             for check in self.checks
         )
-        return html_table(repr(self), ("", "expectation", "found"), checks)
+        return html_table(repr(self), ("", "expectation", "found"), rows)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the signals as a table over time_s. Needs pandas."""
@@ -158,12 +154,11 @@ def checks_of(
     lockstep: bool = True,
 ) -> list[Check]:
     """Return the checks of a run; an unfinished request with the time by which the run is too short."""
-    scenario = loaded.scenario
-    last = scenario.request[-1].gear if scenario.request else None
-    expect = scenario.expect
+    request, expect = loaded.scenario.request, loaded.scenario.expect
     if not lockstep:
         timing = [each for each in expect.timing if not each.lockstep]
         expect = replace(expect, lockstep={}, timing=timing)
+    last = request[-1].gear if request else None
     checks = evaluate(expect, observed, shifts, figures, last)
     for k, check in enumerate(checks):
         if check.value == UNFINISHED and not check.passed:

@@ -23,9 +23,7 @@ from sil.simulation.fault_marks import FaultSpan, fault_spans
 from sil.simulation.metrics import METRICS, Shift
 from sil.simulation.scenario import Scenario
 
-MOST_BYTES = 1 << 30
-"""The largest file of a run that is read."""
-
+MOST_BYTES = 1 << 30  # the largest file of a run that is read
 COLUMNS = (
     *("time_s", "position_m", "velocity_m_s", "position_internal_m"),
     *("controller_state", "controller_faults"),
@@ -85,22 +83,13 @@ def read_run(where: Path, name: str) -> KeptRun:
     trace = _read_trace(folder / "trace.csv")
     events = [*_plant_events(folder / EVENTS), *_controller_events(trace)]
     faults = fault_spans(convert(stored.scenario, Scenario, str(path), "scenario"))
-    return KeptRun(
-        name,
-        stored.scenario_name,
-        stored.trace_sha256,
-        stored.metrics,
-        shifts,
-        trace,
-        sorted(events),
-        faults,
-    )
+    figures = stored.scenario_name, stored.trace_sha256, stored.metrics
+    return KeptRun(name, *figures, shifts, trace, sorted(events), faults)
 
 
 def _read_trace(path: Path) -> dict[str, Floats]:
-    lines = (
-        read_user_file(path, "the trace of a run", MOST_BYTES).decode(errors="replace").splitlines()
-    )
+    content = read_user_file(path, "the trace of a run", MOST_BYTES)
+    lines = content.decode(errors="replace").splitlines()
     names = lines[0].split(",") if len(lines) > 2 else []
     missing = [name for name in COLUMNS if name not in names]
     try:
@@ -114,9 +103,8 @@ def _read_trace(path: Path) -> dict[str, Floats]:
 
 
 def _plant_events(path: Path) -> Iterator[tuple[float, str]]:
-    for number, line in enumerate(
-        read_user_file(path, "the events of a run", MOST_BYTES).splitlines(), 1
-    ):
+    content = read_user_file(path, "the events of a run", MOST_BYTES)
+    for number, line in enumerate(content.splitlines(), 1):
         event = event_of(line, f"{path}:{number}")
         if event.name != "balance":
             yield event.time_s, event.name.replace("_", " ")

@@ -58,7 +58,7 @@ def load(where: str, **given: Unpack[Overrides]) -> Loaded:
 
 
 def read(where: str) -> tuple[dict[str, Any], Path]:
-    """Return a scenario file, or a shipped scenario by name, as parsed, and its path."""
+    """Return a scenario file or shipped scenario as parsed, and its path. Raises InputError."""
     path = _path_of(where)
     if path.suffix != ".json":
         return typed_toml.read_toml(path), path

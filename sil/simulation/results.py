@@ -48,7 +48,6 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     bus: dict[str, Any] = {}
     balances: dict[str, Any] = {}
     firmware: Cost | None = None
-    """What the steps of a firmware in C cost."""
     speed: dict[str, float] = {}
     scenario: Any
     model: Any
