@@ -1,13 +1,12 @@
 """Simulate many command sequences under many loads in one batch: how hard each arrives, and when.
 
-The loads of a family differ in one unknown, which an event reveals: the synchronizer's release.
+The loads differ in one unknown, which the synchronizer's release reveals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,33 +29,13 @@ Commands = Sequence[tuple[float, str, float]]
 """(time s, valve, duty), as in a campaign."""
 
 
-@dataclass(frozen=True)
-class Family:
-    """Loads of one stroke that differ in one unknown, and the event that reveals which it is."""
-
-    revealed_by: str
-    cases: tuple[StrokeConditions, ...]
-
-    def under(self, **conditions: Any) -> Family:
-        """Return the family with other conditions of all its loads."""
-        return replace(self, cases=tuple(replace(case, **conditions) for case in self.cases))
-
-    def with_impulses(self, factor: float) -> Family:
-        """Return the family with other impulses of the synchronizer."""
-        cases = (replace(c, sync_impulse_n_s=factor * c.sync_impulse_n_s) for c in self.cases)
-        return replace(self, cases=tuple(cases))
-
-
 PUSH = StrokeConditions("N-B", 900000.0, ((0.0, "B", FULL_DUTY),))
 """The plain push from neutral to backward."""
-GEARBOX = Family(
-    "unblock",
-    tuple(
-        replace(PUSH, mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=impulse_n_s)
-        for impulse_n_s in (18.0, 40.0, 78.0, 140.0, 250.0)
-    ),
+GEARBOX = tuple(
+    replace(PUSH, mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=impulse_n_s)
+    for impulse_n_s in (18.0, 40.0, 78.0, 140.0, 250.0)
 )
-"""Unknown: the impulse that the synchronizer needs."""
+"""Loads that differ in the impulse that the synchronizer needs, unknown until it lets go."""
 
 
 @dataclass(frozen=True)
@@ -72,21 +51,16 @@ class Arrivals:
     impact_worst_m_s: Floats
     arrival_s: Floats
 
-    def reshaped(self, *shape: int) -> Arrivals:
-        """Return the same with figures of another shape."""
-        columns = (self.revealed_s, self.impact_stay_m_s, self.impact_worst_m_s, self.arrival_s)
-        return Arrivals(*(column.reshape(shape) for column in columns))
-
 
 class LoadModel:
     """The strokes of some loads, to be simulated many times under changed switches of the valves."""
 
-    def __init__(self, setups: Sequence[Setup], revealed_by: str = GEARBOX.revealed_by) -> None:
+    def __init__(self, setups: Sequence[Setup]) -> None:
         self.strokes = Strokes.from_setups(setups, 1.0)
         self.stop_m = setups[0].p.stroke - 1e-4
         self._mass_kg = setups[0].p.m_s + setups[0].p.m_p
         guards = {guard.event: guard for guard in Guard}
-        self._revealed_by, self._pick_up = guards[revealed_by], guards["collar 1 contact"]
+        self._release, self._pick_up = guards["unblock"], guards["collar 1 contact"]
 
     def take(self, loads: Ints, switches: Floats, duration_s: Floats) -> Strokes:
         """Return strokes [n] of loads (numbers [n]) under switches [n, k, 4], of duration_s [n] in s."""
@@ -120,42 +94,36 @@ class LoadModel:
         lasts = (result.status == DONE) & (result.event_count <= max_events)
         lasts &= (result.final[:, LengthState.x_s] > self.stop_m) & np.isfinite(arrival_s)
         return Arrivals(
-            _first(happened & (guard == self._revealed_by), time_s),
+            _first(happened & (guard == self._release), time_s),
             *(np.where(lasts, each, np.inf) for each in (stay_m_s, worst_m_s, arrival_s)),
         )
 
 
-class FamilyModel:
-    """The strokes of a family's loads, to be simulated under many command sequences."""
-
-    def __init__(self, parameters: ParameterSet, family: Family) -> None:
-        setups = [make_setup(parameters, case) for case in family.cases]
-        self._timing = ValveTiming.from_parameters(parameters)
-        self._model = LoadModel(setups, family.revealed_by)
-        self._loads = len(setups)
-
-    def arrivals(self, sequences: Sequence[Commands], limit_s: float = 0.5) -> Arrivals:
-        """Simulate each sequence under every load; each [sequences, loads]; later than limit_s is too late."""
-        of_load = np.tile(np.arange(self._loads), len(sequences))
-        switches = np.repeat(self._switches(sequences), self._loads, axis=0)
-        duration_s = np.full(len(of_load), limit_s + HOLD_S)
-        judged = self._model.arrivals(self._model.take(of_load, switches, duration_s))
-        lasts = judged.arrival_s <= limit_s
-        speeds = (judged.impact_stay_m_s, judged.impact_worst_m_s, judged.arrival_s)
-        columns = (judged.revealed_s, *(np.where(lasts, each, np.inf) for each in speeds))
-        return Arrivals(*columns).reshaped(-1, self._loads)
-
-    def _switches(self, sequences: Sequence[Commands]) -> Floats:
-        """Return the switches [sequences, k, 4] of `Strokes` for the commands of each sequence."""
-        schedules = [
-            switch_schedule([(t, "BNF".index(v), duty) for t, v, duty in commands], self._timing, 3)
-            for commands in sequences
-        ]
-        switches = np.zeros((len(schedules), max(map(len, schedules)), 4))
-        switches[:, :, 0] = np.inf
-        for rows, schedule in zip(switches, schedules, strict=True):
-            rows[: len(schedule), :3] = [(at_ns / NS_PER_S, c, u) for at_ns, c, u in schedule]
-        return switches
+def arrivals_of(
+    parameters: ParameterSet,
+    cases: Sequence[StrokeConditions],
+    sequences: Sequence[Commands],
+    limit_s: float = 0.5,
+) -> Arrivals:
+    """Simulate each sequence under every load; each [sequences, loads]; later than limit_s is too late."""
+    model = LoadModel([make_setup(parameters, case) for case in cases])
+    timing = ValveTiming.from_parameters(parameters)
+    schedules = [
+        switch_schedule([(t, "BNF".index(v), duty) for t, v, duty in commands], timing, 3)
+        for commands in sequences
+    ]
+    switches = np.zeros((len(schedules), max(map(len, schedules)), 4))
+    switches[:, :, 0] = np.inf
+    for rows, schedule in zip(switches, schedules, strict=True):
+        rows[: len(schedule), :3] = [(at_ns / NS_PER_S, c, u) for at_ns, c, u in schedule]
+    loads = np.tile(np.arange(len(cases)), len(sequences))
+    duration_s = np.full(len(loads), limit_s + HOLD_S)
+    strokes = model.take(loads, np.repeat(switches, len(cases), axis=0), duration_s)
+    judged = model.arrivals(strokes)
+    lasts = judged.arrival_s <= limit_s
+    speeds = (judged.impact_stay_m_s, judged.impact_worst_m_s, judged.arrival_s)
+    columns = (judged.revealed_s, *(np.where(lasts, each, np.inf) for each in speeds))
+    return Arrivals(*(column.reshape(-1, len(cases)) for column in columns))
 
 
 def _first(which: NDArray[np.bool_], time_s: Floats) -> Floats:

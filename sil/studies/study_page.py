@@ -18,7 +18,7 @@ from sil.studies import fault_table
 from sil.studies.figures import metric_of, row_labels
 from sil.studies.kinds.runs import RunsStudy
 from sil.studies.study import Study, Table
-from sil.studies.table import baseline_rows, differences, read_metrics
+from sil.studies.table import baseline_rows, read_metrics
 
 
 def write_page(
@@ -103,7 +103,8 @@ def _cells(
         )
         yield middle if least == greatest else f"{middle} ({least} to {greatest})"
         if baseline is not None:
-            change = factor * differences(table, baseline, name)[rows]
+            column = table.numbers[name]
+            change = factor * (column[rows] - column[baseline[rows]])
             change = change[np.isfinite(change)]
             is_baseline = len(rows) == 1 and baseline[rows[0]] == rows[0]
             yield "baseline" if is_baseline else _change(change, float(np.median(values)))

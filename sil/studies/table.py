@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from sil.studies.study import Outcome, Study, Table
 
 RESULTS = "results.csv"
-Z95 = 1.959964
-"""Half width of a 95 % interval in standard deviations of a normal distribution."""
+Z95 = 1.959964  # half width of a 95 % interval in standard deviations
 
 
 def read_table(study: Study, folder: Path) -> Table:
@@ -73,11 +72,6 @@ def baseline_rows(study: Study, table: Table) -> NDArray[np.int64] | None:
     return np.array([rows[np.argmax(loads[rows] == load)] for load in loads])
 
 
-def differences(table: Table, baseline: NDArray[np.int64], name: str) -> NDArray[np.float64]:
-    """Return a metric minus that of the row's baseline [rows], in the unit of its name."""
-    return table.numbers[name] - table.numbers[name][baseline]
-
-
 def summary(study: Study, table: Table) -> dict[str, Any]:
     """Return counts of outcomes, reasons, and figures of each combination of choices.
 
@@ -88,13 +82,13 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
     for label, rows in study.row_groups(table).items():
         entry: dict[str, Any] = {"rows": len(rows)}
         for name in study.file.columns():
-            values = table.numbers[name][rows]
-            values = values[~np.isnan(values)]
+            column = table.numbers[name]
+            values = column[rows][~np.isnan(column[rows])]
             if len(values):
                 parts = (("min", np.min), ("median", np.median), ("max", np.max))
                 entry[name] = {key: float(part(values)) for key, part in parts}
             if baseline is not None and len(values):
-                change = differences(table, baseline, name)[rows]
+                change = column[rows] - column[baseline[rows]]
                 entry[name]["difference"] = float(np.median(change))
         failed = table.numbers["failed"][rows] > 0.0
         entry["failed_share"] = float(np.mean(failed))
@@ -150,8 +144,7 @@ def quantiles(values: NDArray[np.float64]) -> dict[str, list[float]]:
 
 def exit_code(table: Table) -> int:
     """Return 3 if a row could not run, else 1 if a row failed, else 0."""
-    counts = table.outcomes
-    return 3 if counts["not run"] else 1 if counts["failed"] else 0
+    return 3 if table.outcomes["not run"] else 1 if table.outcomes["failed"] else 0
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

@@ -91,7 +91,7 @@ class Judge:
         self.timing, self.scatter = timing, tuple(scatter)
         self.impulses_n_s, self.mesh_n = impulses_n_s, tuple(mesh_n)
         self.shape = len(scatter), len(mesh_n), len(impulses_n_s)
-        case = replace(GEARBOX.cases[0], load=load, sync_impulse_n_s=1e6)
+        case = replace(GEARBOX[0], load=load, sync_impulse_n_s=1e6)
         setups = []
         for each in scatter:
             for force_n in mesh_n:

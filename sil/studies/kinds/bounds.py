@@ -258,7 +258,7 @@ def write_campaign(folder: Path, problem: BoundProblem, policy: SearchProgress) 
         impacts = judgement.impact_m_s[0, k, m]
         for i in sorted({0, int(np.argmax(impacts)), len(impacts) - 1}):
             conditions = replace(
-                GEARBOX.cases[0],
+                GEARBOX[0],
                 mesh_force_n=judge.mesh_n[m],
                 sync_impulse_n_s=float(judge.impulses_n_s[i]),
                 commands=tuple(
@@ -268,7 +268,7 @@ def write_campaign(folder: Path, problem: BoundProblem, policy: SearchProgress) 
             label = f"{judge.mesh_n[m]:g} N, {judge.impulses_n_s[i]:g} N s, commands "
             label += f"{1e3 * judge.scatter[k].shift_s:+g} ms: {impacts[i]:.4f} m/s"
             strokes.append(CampaignStroke(f"stroke_{len(strokes):02}.csv", label, conditions))
-    air = GEARBOX.cases[0].atmosphere_pa, GEARBOX.cases[0].temperature_k
+    air = GEARBOX[0].atmosphere_pa, GEARBOX[0].temperature_k
     campaign = Campaign(folder, folder.name, "length", *air, 1000.0, strokes=tuple(strokes))
     write_atomically(folder / "campaign.toml", campaign_toml(campaign, strokes))
     delays = zip(("D_rise", "D_fall"), problem.timing, strict=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -19,7 +19,7 @@ from sil.files.overrides import Settings
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from sil.studies.kinds.runs import RunsStudy
-from sil.studies.policies import GEARBOX, PUSH, Arrivals, FamilyModel
+from sil.studies.policies import GEARBOX, PUSH, Arrivals, arrivals_of
 from sil.studies.study import Setting, Study
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -100,7 +100,7 @@ class Case:
             values = arrivals.impact_worst_m_s[0]
             if measure.of == "last_part_s":
                 values = arrivals.arrival_s[0] - arrivals.revealed_s[0]
-            impulses_n_s = [case.sync_impulse_n_s for case in GEARBOX.cases]
+            impulses_n_s = [case.sync_impulse_n_s for case in GEARBOX]
             one = measure.impulse_n_s
             return float(values.max() if one is None else values[impulses_n_s.index(one)])
         shifts = self._rows(measure) if measure.study else [(measure.scenario, measure.set)]
@@ -109,14 +109,19 @@ class Case:
     def _pushed(self, load: str) -> Arrivals:
         """Return the plain push of the plant alone under the gearbox loads."""
         if load not in self._arrivals:
-            family = GEARBOX.under(load=load, atmosphere_pa=self.parameters.value("gas.P_atm"))
-            for name in ("supply_pressure_pa", "mesh_force_n"):
-                value = getattr(self.conditions, name)
-                family = family if value is None else family.under(**{name: value})
-            family = family.with_impulses(self.conditions.impulse_factor)
+            changes: dict[str, Any] = {
+                name: value
+                for name in ("supply_pressure_pa", "mesh_force_n")
+                if (value := getattr(self.conditions, name)) is not None
+            }
+            changes |= {"load": load, "atmosphere_pa": self.parameters.value("gas.P_atm")}
+            factor = self.conditions.impulse_factor
+            cases = [
+                replace(case, sync_impulse_n_s=factor * case.sync_impulse_n_s, **changes)
+                for case in GEARBOX
+            ]
             try:
-                model = FamilyModel(self.parameters, family)
-                self._arrivals[load] = model.arrivals([PUSH.commands])
+                self._arrivals[load] = arrivals_of(self.parameters, cases, [PUSH.commands])
             except IntegrationError as error:
                 raise RunError(str(error)) from None
         return self._arrivals[load]
@@ -151,9 +156,8 @@ class Case:
             changes["driveline.impulse_backward_n_s"] = impulse_n_s * conditions.impulse_factor
         model = None if self.model == "nominal" else self.model
         changes = {**self.settings, **changes}
-        shift = run_in_memory(load_scenario.load(scenario, model=model, settings=changes)).shifts[
-            -1
-        ]
+        loaded = load_scenario.load(scenario, model=model, settings=changes)
+        shift = run_in_memory(loaded).shifts[-1]
         if shift.arrived_s is None or shift.impact_worst_m_s is None:
             return 2.0, 1.0
         return shift.impact_worst_m_s, shift.arrived_s

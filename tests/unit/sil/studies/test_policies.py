@@ -10,7 +10,7 @@ import pytest
 from plant.effects.stroke_conditions import FULL_DUTY
 from plant.parameters import load as load_parameters
 from plant.systems.stroke import simulate
-from sil.studies.policies import GEARBOX, PUSH, FamilyModel
+from sil.studies.policies import GEARBOX, PUSH, arrivals_of
 
 PARAMETERS = load_parameters("nominal")
 BRAKED = (
@@ -23,12 +23,12 @@ BRAKED = (
 
 
 def test_each_sequence_and_load_is_the_stroke_that_the_plant_makes() -> None:
-    arrivals = FamilyModel(PARAMETERS, GEARBOX).arrivals([PUSH.commands, BRAKED])
-    assert arrivals.arrival_s.shape == (2, len(GEARBOX.cases))
+    arrivals = arrivals_of(PARAMETERS, GEARBOX, [PUSH.commands, BRAKED])
+    assert arrivals.arrival_s.shape == (2, len(GEARBOX))
     for commands, row in ((PUSH.commands, 0), (BRAKED, 1)):
         stroke = simulate(
             PARAMETERS,
-            replace(GEARBOX.cases[2], commands=commands),
+            replace(GEARBOX[2], commands=commands),
             np.array([0.0, 0.3]),
             internal=False,
         )
@@ -43,5 +43,5 @@ def test_each_sequence_and_load_is_the_stroke_that_the_plant_makes() -> None:
 
 def test_a_late_arrival_has_no_impact() -> None:
     late = ((0.045, "B", FULL_DUTY),)
-    arrivals = FamilyModel(PARAMETERS, GEARBOX).arrivals([late], limit_s=0.06)
+    arrivals = arrivals_of(PARAMETERS, GEARBOX, [late], limit_s=0.06)
     assert np.isinf(arrivals.impact_stay_m_s).all()
