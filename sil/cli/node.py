@@ -20,8 +20,7 @@ from pathlib import Path
 
 from sil.cli.options import MODEL, SEED, SETTINGS, argument, say
 
-WAIT_S = 300.0
-"""The first start on a machine compiles the plant's equations."""
+WAIT_S = 300.0  # the first start on a machine compiles the plant's equations
 
 
 ARGUMENTS = (

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sil.logs.merged import Reading
 
-Argument = tuple[str, dict[str, Any]]
-"""Name, and how argparse takes it."""
+Argument = tuple[str, dict[str, Any]]  # name, and how argparse takes it
 
 
 def argument(name: str, text: str, metavar: str | None = None, **how: Any) -> Argument:

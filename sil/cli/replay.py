@@ -101,15 +101,12 @@ def run(arguments: argparse.Namespace) -> int:
         reference = None
         if arguments.against is not None:
             reference = stack.enter_context(checkout(arguments.against)), arguments.against
+        names = ("settings", "log", "firmware", "run", "dbc", "plant", "closed_loop")
         request = ReplayRequest(
-            settings=arguments.settings,
             reader=_open(arguments),
             options=load_options(arguments.options) if arguments.options else Options(),
             reference=reference,
-            **{
-                name: getattr(arguments, name)
-                for name in ("log", "firmware", "run", "dbc", "plant", "closed_loop")
-            },
+            **{name: getattr(arguments, name) for name in names},
         )
         outcome = replay(request)
     _report(arguments, outcome)
@@ -144,10 +141,8 @@ def _prepared(arguments: argparse.Namespace, name: str) -> Path:
     logs = [arguments.log, *arguments.more_logs]
     folder = prepare_folder(arguments.out, name, arguments.force, inputs=logs)
     for figure in folder.glob("*.*"):
-        if figure.stem.startswith(("scene_", "positions", "shift")) and figure.suffix in (
-            ".png",
-            ".svg",
-        ):
+        is_picture = figure.suffix in (".png", ".svg")
+        if is_picture and figure.stem.startswith(("scene_", "positions", "shift")):
             figure.unlink()
     return folder
 
@@ -185,13 +180,8 @@ def _truck(arguments: argparse.Namespace) -> int | None:
         raise InputError(f"--map: a truck's log has no commands for --{name}; expected one of them")
     if given or (arguments.dbc is not None and arguments.map is None):
         return None
-    comparison = replay_truck(
-        _open(arguments),
-        map=arguments.map,
-        dbc=arguments.dbc,
-        settings=arguments.settings,
-        firmware=arguments.firmware,
-    )
+    options = {name: getattr(arguments, name) for name in ("map", "dbc", "settings", "firmware")}
+    comparison = replay_truck(_open(arguments), **options)
     if comparison is None:
         return None
     _report(arguments, comparison)
@@ -239,9 +229,8 @@ def _summary(arguments: argparse.Namespace) -> int:
         call = shlex.join(["opc4", *sys.argv[1:]])
         page = shifts_page(summary, reader.path, call, folder)
         values["out"] = str(folder)
-        _complete(
-            folder, {"report.html": page, "summary.json": json.dumps(values, indent=1) + "\n"}
-        )
+        text = json.dumps(values, indent=1) + "\n"
+        _complete(folder, {"report.html": page, "summary.json": text})
         lines.append(_listing(folder))
     print(json.dumps(values, indent=1) if arguments.json else "\n".join(lines))
     return 0

@@ -14,7 +14,7 @@ import argparse
 import contextlib
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sil.cli.options import (
     EFFECTS,
@@ -32,7 +32,7 @@ from sil.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from sil.simulation.load_scenario import Loaded, Overrides
+    from sil.simulation.load_scenario import Loaded
     from sil.simulation.runner import Finished
 
 
@@ -102,12 +102,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.simulation.compared import against_shipped, without_expectations
     from sil.simulation.results import write_result
 
-    overrides: Overrides = {
-        "model": arguments.model,
-        "settings": arguments.settings,
-        "effects": arguments.effects,
-        "seed": arguments.seed,
-    }
+    names = ("model", "settings", "effects", "seed")
+    overrides: Any = {name: getattr(arguments, name) for name in names}
     loaded = load_scenario.load(arguments.scenario, **overrides)
     rules = load_rules(arguments.rules)
     shipped = None
@@ -126,19 +122,10 @@ def run(arguments: argparse.Namespace) -> int:
     folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force)
     from sil.simulation import runner
 
-    finished = runner.run(
-        loaded,
-        folder,
-        transport=arguments.transport,
-        speed=speed,
-        free_running=free_running,
-        external=arguments.external,
-        rules=rules,
-        say=say,
-    )
-    failed_in_c = "controller failed" in (finished.result.why or "") and in_module(
-        loaded.scenario.firmware
-    )
+    how = {"transport": arguments.transport, "external": arguments.external, "rules": rules}
+    finished = runner.run(loaded, folder, speed=speed, free_running=free_running, say=say, **how)
+    why = finished.result.why or ""
+    failed_in_c = "controller failed" in why and in_module(loaded.scenario.firmware)
     if arguments.break_at is not None or failed_in_c:
         _write_steps(loaded, arguments.break_at, folder)
     if arguments.save_at is not None:
@@ -153,8 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
     if free_running:
         from sil.simulation.free_run import jitter_lines
 
-        for line in jitter_lines(finished.result.bus):
-            say(line)
+        say("\n".join(jitter_lines(finished.result.bus)))
     return _report(arguments, finished, folder)
 
 
@@ -203,7 +189,7 @@ def _continue(arguments: argparse.Namespace) -> int:
     from sil.simulation.runner import resume
 
     given = (arguments.scenario, arguments.model, arguments.seed, arguments.save_at)
-    if any(value is not None for value in given) or arguments.settings or arguments.effects:
+    if {*given} != {None} or arguments.settings or arguments.effects:
         raise InputError("--from: with a scenario or other values; expected the saved state alone")
     loop = load(arguments.state)
     folder = prepare_folder(arguments.out, loop.loaded.scenario.name, arguments.force)
@@ -255,12 +241,9 @@ def _changed_by(arguments: argparse.Namespace) -> str:
     """Return what was changed, as it was typed."""
     from sil.files.overrides import setting_texts
 
-    words = [
-        f"{option} {value}"
-        for option in ("model", "effects")
-        if (value := getattr(arguments, option))
-    ]
-    return ", ".join([*setting_texts(arguments.settings), *map(str, words)])
+    others = {"model": arguments.model, "effects": arguments.effects}
+    words = [f"{option} {value}" for option, value in others.items() if value]
+    return ", ".join([*setting_texts(arguments.settings), *words])
 
 
 def _list() -> int:

@@ -37,10 +37,8 @@ def summary_lines(finished: Finished, folder: Path, changed_name: str) -> Iterat
     if changes is not None:
         head = ("", "as shipped", "now", "difference")
         rows = [row.cells() for row in changes.metrics]
-        lines = (
-            table_lines(head, rows) if rows else ["no metric differs from the scenario as shipped"]
-        )
-        yield from (f"  {line}" for line in lines)
+        none = ["no metric differs from the scenario as shipped"]
+        yield from (f"  {line}" for line in (table_lines(head, rows) if rows else none))
         if count := len(changes.expectations):
             yield f"  {counted(count, 'expectation')} of the shipped scenario, changed:"
         for check in changes.expectations:

@@ -59,15 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
         study = replace(study, file=study.file.without_search())
     folder = _folder(study, arguments)
     study = replace(study, folder=folder)
+    how = {name: getattr(arguments, name) for name in ("workers", "cluster", "resume")}
     with Progress("rows") as progress:
-        now = run_study(
-            study,
-            folder,
-            workers=arguments.workers,
-            cluster=arguments.cluster,
-            resume=arguments.resume,
-            progress=progress,
-        )
+        now = run_study(study, folder, progress=progress, **how)
     from sil.studies.study_page import write_page  # loads every kind of study
 
     table = read_table(study, folder)

@@ -114,8 +114,7 @@ class BusModel:
         self._is_off = is_off
         self._capacity = capacity
         self._mailboxes = mailboxes
-        self.now_ns = 0
-        """The instant up to which the bus has advanced."""
+        self.now_ns = 0  # the instant up to which the bus has advanced
         self._free_ns = 0
         self._released_later: list[tuple[int, int, Frame, str]] = []
         self._ready: list[_Ready] = []

@@ -7,8 +7,7 @@ import math
 from can_dbc.errors import InputError
 
 NS_PER_S = 1_000_000_000
-NEVER_NS = (1 << 48) - 1
-"""The largest instant of the lockstep, 78 h."""
+NEVER_NS = (1 << 48) - 1  # the largest instant of the lockstep, 78 h
 
 
 def to_ns(seconds: float, name: str = "time") -> int:

@@ -44,17 +44,15 @@ def open_bus(
     Raises InputError for a channel that cannot exist, RunError when no local bus opens in time.
     """
     kind, colon, name = channel.partition(":")
-    filters: Any = receives and [
-        {"can_id": can_id, "can_mask": MAX_ID, "extended": True} for can_id in receives
-    ]
+    common: dict[str, Any] = {"can_mask": MAX_ID, "extended": True}
+    filters: Any = receives and [{"can_id": can_id, **common} for can_id in receives]
     if kind != "local":
         logging.getLogger("can").addHandler(logging.NullHandler())  # drivers that are missing
         try:
-            if not colon:
-                return can.Bus(
-                    channel, interface="socketcan", can_filters=filters, ignore_config=True
-                )
-            return can.Bus(name, interface=kind, bitrate=bitrate)  # a filter of software ends recv
+            if colon:  # a filter of software ends recv
+                return can.Bus(name, interface=kind, bitrate=bitrate)
+            how = {"interface": "socketcan", "ignore_config": True}
+            return can.Bus(channel, can_filters=filters, **how)
         except Exception as error:  # a driver that is missing: python-can has no one error for it
             why = " ".join(str((isinstance(error, OSError) and error.strerror) or error).split())
             raise InputError(

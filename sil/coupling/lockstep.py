@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from sil.coupling.bus import BusFrame, BusModel
     from sil.coupling.faults import FaultPlan
 
-TURN_ORDER = ("driver", "controller", "plant")
-"""Who queues first at equal instants."""
+TURN_ORDER = ("driver", "controller", "plant")  # who queues first at equal instants
 
 
 @dataclass(frozen=True)
@@ -169,9 +168,8 @@ class Lockstep:
     def _running_event(self, name: str, event_ns: int, now_ns: int, period_ns: int) -> int:
         """Return the participant's next event from `event_ns` on at which it runs."""
         if event_ns <= now_ns:
-            raise ParticipantLost(
-                name, f"named {event_ns} ns as its next event at {now_ns} ns; expected a later one"
-            )
+            what = f"named {event_ns} ns as its next event at {now_ns} ns; expected a later one"
+            raise ParticipantLost(name, what)
         if self._outages is None:
             return event_ns
         return self._outages.next_event(name, event_ns, period_ns)

@@ -94,14 +94,7 @@ class Pacer:
 
     def lateness(self) -> Lateness:
         """Return what was measured so far."""
-        p50_ns, p99_ns = (
-            min(quantile(self._late_ns, share), self._latest_ns) for share in (0.5, 0.99)
-        )
-        return Lateness(
-            factor=self.factor,
-            instants=self._late_ns.total(),
-            p50_s=to_seconds(p50_ns),
-            p99_s=to_seconds(p99_ns),
-            max_s=to_seconds(self._latest_ns),
-            overruns=self._overruns,
-        )
+        rounded_ns = (quantile(self._late_ns, share) for share in (0.5, 0.99, 1.0))
+        p50_s, p99_s, max_s = (to_seconds(min(ns, self._latest_ns)) for ns in rounded_ns)
+        instants = self._late_ns.total()
+        return Lateness(self.factor, instants, p50_s, p99_s, max_s, self._overruns)

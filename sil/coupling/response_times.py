@@ -160,16 +160,13 @@ def _response_time(
     higher = list(zip(ranked[:index], costs[:index], strict=True))
     blocking = max(costs[index + 1 :], default=0)
 
-    def interference(
-        window_ns: int, sources: Sequence[tuple[PeriodicMessage, int]], extra_ns: int
-    ) -> int:
-        return sum(-(-(window_ns + k.jitter_ns + extra_ns) // k.period_ns) * c for k, c in sources)
+    def interference(until_ns: int, sources: Sequence[tuple[PeriodicMessage, int]]) -> int:
+        return sum(-(-(until_ns + k.jitter_ns) // k.period_ns) * c for k, c in sources)
 
-    busy, steps = 0, 0
-    longer = cost
+    busy, longer, steps = 0, cost, 0
     while longer != busy and steps < MAX_STEPS:
         busy, steps = longer, steps + 1
-        longer = blocking + interference(busy, [*higher, (message, cost)], 0)
+        longer = blocking + interference(busy, [*higher, (message, cost)])
     instances = -(-(busy + message.jitter_ns) // message.period_ns)
     if longer != busy or instances > MAX_STEPS:
         raise InputError(
@@ -180,9 +177,8 @@ def _response_time(
     queueing = blocking
     for instance in range(instances):
         queueing = max(queueing, blocking + instance * cost)
-        while (
-            longer := blocking + instance * cost + interference(queueing, higher, bit_ns)
-        ) != queueing:
+        before = blocking + instance * cost
+        while (longer := before + interference(queueing + bit_ns, higher)) != queueing:
             queueing = longer
         response = max(response, message.jitter_ns + queueing - instance * message.period_ns + cost)
     return ResponseTime(message, cost, blocking, response)

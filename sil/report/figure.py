@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from sil.recording.runs import true_runs
 
 Floats = NDArray[np.float64]
-MM, BAR, MS = 1e3, 1e-5, 1e3
-"""Factors from SI units to the units of figures."""
+MM, BAR, MS = 1e3, 1e-5, 1e3  # factors from SI units to the units of figures
 
 VIRIDIS = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#fde725")
 

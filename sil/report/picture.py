@@ -13,17 +13,14 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from sil.files.atomic import write_atomically
-from sil.report.figure import Figure, Note, Panel, Rule, Span, Stack
+from sil.report.figure import ColourScale, Figure, Note, Panel, Rule, Span, Stack
 from sil.report.theme import colour_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
-PIXELS_PER_INCH = 80.0
-"""Of a panel's height."""
-
-
+PIXELS_PER_INCH = 80.0  # of a panel's height
 MOST_ZOOMS = 3
 """A picture shows this many parts of an axis side by side; a page has a button for each."""
 
@@ -35,8 +32,7 @@ SERIES_STYLES: dict[str, dict[str, Any]] = {
     "dots": {"linestyle": "none", "marker": "o"},
     "marked": {"marker": "o"},
 }
-LETTER = 0.6
-"""Mean width of a letter over the size of its font."""
+LETTER = 0.6  # mean width of a letter over the size of its font
 
 View = tuple[float, float]
 
@@ -112,9 +108,8 @@ def draw(figure: Figure) -> Drawing:
 
     write(0.12 / width, 0.1, figure.title, 15, "ink", weight="bold")
     write(0.12 / width, 0.38, figure.subtitle, 9.5, "faint")
-    grid = drawing.add_gridspec(
-        len(heights), len(columns), height_ratios=heights, width_ratios=[c.width for c in columns]
-    )
+    ratios = {"height_ratios": heights, "width_ratios": [c.width for c in columns]}
+    grid = drawing.add_gridspec(len(heights), len(columns), **ratios)
     if overview is not None:
         note = "top: the whole; shaded: enlarged below"
         write(1.0 - 0.12 / width, 0.38, note, 8.5, "faint", ha="right")
@@ -137,15 +132,10 @@ def draw(figure: Figure) -> Drawing:
             elif column.is_first:
                 _name(axes, panel)
             if panel.scale is not None and number == len(columns) - 1:
-                _colour_bar(drawing, axes, panel)
+                _colour_bar(drawing, axes, panel.scale)
             if row == 0 and column.stack.title and column.is_first:
-                axes.set_title(
-                    column.stack.title,
-                    fontsize=10,
-                    loc="left",
-                    color=colour_of("ink"),
-                    pad=6 + 14 * legend_rows,
-                )
+                look: dict[str, Any] = {"fontsize": 10, "loc": "left", "color": colour_of("ink")}
+                axes.set_title(column.stack.title, pad=6 + 14 * legend_rows, **look)
     return drawing
 
 
@@ -358,12 +348,10 @@ def _name(axes: Axes, panel: Panel) -> None:
     axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=colour_of("ink"), fontsize=9)
 
 
-def _colour_bar(drawing: Drawing, axes: Axes, panel: Panel) -> None:
+def _colour_bar(drawing: Drawing, axes: Axes, scale: ColourScale) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    scale = panel.scale
-    assert scale is not None
     colours = LinearSegmentedColormap.from_list("scale", list(scale.colours))
     mappable = ScalarMappable(Normalize(scale.low, scale.high), colours)
     drawing.colorbar(mappable, ax=axes, label=scale.label)

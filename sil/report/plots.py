@@ -14,8 +14,7 @@ import numpy as np
 
 from sil.report.figure import Figure, Floats, Panel, Series, Stack
 
-MOST_POINTS = 8000
-"""A longer record is thinned to this many points; the trace has them all."""
+MOST_POINTS = 8000  # a longer record is thinned to this many points; the trace has them all
 
 DIGITS = 6
 
@@ -32,19 +31,15 @@ class PlotGroup:
 
 def plots(figure: Figure, *, repeated: bool = True) -> list[PlotGroup]:
     """Return the plots of a figure, a group for each stack."""
-    return [_group(stack, repeated) for stack in figure.stacks]
-
-
-def _group(stack: Stack, repeated: bool) -> PlotGroup:
-    plot = content(stack)
-    stride = plot.pop("stride")
-    text = json.dumps(plot, separators=(",", ":"), ensure_ascii=True)
-    return PlotGroup(
-        title=stack.title,
-        numbers=text.replace("<", "\\u003c"),  # inside a script element, "<" could end it
-        thinned=f"one point in {stride}" if stride > 1 else "",
-        repeated=repeated,
-    )
+    groups = []
+    for stack in figure.stacks:
+        plot = content(stack)
+        stride = plot.pop("stride")
+        text = json.dumps(plot, separators=(",", ":"), ensure_ascii=True)
+        text = text.replace("<", "\\u003c")  # inside a script element, "<" could end it
+        thinned = f"one point in {stride}" if stride > 1 else ""
+        groups.append(PlotGroup(stack.title, text, thinned, repeated))
+    return groups
 
 
 def content(stack: Stack) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import base64
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,23 +56,18 @@ def render(template: str, head: Head, groups: Sequence[PlotGroup] = (), **values
     """Return a page: `template` extends shell.html and finds `head`, `groups` and the values."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    environment = Environment(
-        loader=FileSystemLoader(HERE),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(
-        quantity=quantity,
-        limits=limits,
-        number=number,
-        ms=milliseconds,
-        ms3=lambda value: milliseconds(value, 3),
-    )
-    return environment.get_template(template).render(
-        head=head, groups=groups, library=_library() if groups else None, **values
-    )
+    trims: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True}
+    loader = FileSystemLoader(HERE)
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **trims)
+    environment.filters |= {
+        "quantity": quantity,
+        "limits": limits,
+        "number": number,
+        "ms": milliseconds,
+        "ms3": partial(milliseconds, digits=3),
+    }
+    values |= {"head": head, "groups": groups, "library": _library() if groups else None}
+    return environment.get_template(template).render(values)
 
 
 def _library() -> dict[str, str]:

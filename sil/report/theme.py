@@ -33,8 +33,7 @@ _SERIES = {
     "light": "#0072b2 #d55e00 #009e73 #cc79a7 #e69f00 #56b4e9 #000000 #8c6d31",
     "dark": "#56b4e9 #ff8a4c #2cc79a #f08cc4 #f0b429 #b5dcf5 #ffffff #c9a66b",
 }
-SERIES = 8
-"""Number of the roles series0, series1, ... for whatever has no other role."""
+SERIES = 8  # number of the roles series0, series1, ... for whatever has no other role
 
 
 THEMES = {

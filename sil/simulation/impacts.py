@@ -26,8 +26,7 @@ PICK_UP = {
 }
 """Contacts by which the driving pistons pick up the stay on the way from one gear to another."""
 
-HOLD_S = 0.05
-"""The stay has arrived when it is at its stop and remains there for this long."""
+HOLD_S = 0.05  # the stay has arrived when it is at its stop and remains there for this long
 
 
 def counted(

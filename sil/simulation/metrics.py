@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.messages import (
-    Chamber,
     ControllerStatus,
     Gear,
     PlantMotion,
@@ -29,14 +28,9 @@ ARRIVED_WITHIN_M = 5e-5
 """The stay counts as arrived this close to its stop: one step of the external potentiometer."""
 
 LAGS = (
-    "position_lag_10_s",
-    "position_lag_90_s",
-    "position_lag_10_held_s",
-    "position_lag_90_held_s",
-    "bus_lag_10_s",
-    "bus_lag_90_s",
+    *("position_lag_10_s", "position_lag_90_s", "position_lag_10_held_s"),
+    *("position_lag_90_held_s", "bus_lag_10_s", "bus_lag_90_s"),
 )
-
 WORST = ("impact_worst_m_s", "impact_worst_energy_j", "impact_worst_force_n", "confirmed_early_s")
 """Figures of a shift of which the summary gives the largest."""
 
@@ -222,16 +216,11 @@ def shift_figures(
     if confirmed is not None:
         early = max((until if arrived is None else arrived) - confirmed, 0.0)
     duty = f"duty_{letter.lower()}"
-    opened = [
-        e.time_s
-        for e in record.events
-        if e.name == f"valve_{letter}_open" and start <= e.time_s <= until
-    ]
-    blow = [
-        e.arrival_ns / NS_PER_S
-        for e, m in record.of(SafetyBlow)
-        if m.active and m.chamber == Chamber[letter] and start <= e.arrival_ns / NS_PER_S <= until
-    ]
+    name = f"valve_{letter}_open"
+    opened = (e.time_s for e in record.events if e.name == name and start <= e.time_s <= until)
+    frames = record.of(SafetyBlow)
+    blows = [e.arrival_ns / NS_PER_S for e, m in frames if m.active and m.chamber.name == letter]
+    blow_end = max((at for at in blows if start <= at <= until), default=None)
     lags: dict[str, Any] = dict.fromkeys(LAGS)
     if moves and arrived is not None:
         lags = dict(zip(LAGS, _lags(record, origin, goal, start, until), strict=True))
@@ -242,11 +231,11 @@ def shift_figures(
         commanded_s=_first(
             record, ValveCommand, start, until, lambda m: getattr(m, duty) > OPEN_ABOVE
         ),
-        valve_open_s=opened[0] if opened else None,
+        valve_open_s=next(opened, None),
         first_motion_s=first_motion,
         arrived_s=arrived,
         confirmed_s=confirmed,
-        blow_end_s=blow[-1] if blow else None,
+        blow_end_s=blow_end,
         shift_time_s=None if arrived is None else arrived - start,
         impact_speed_m_s=None if stop is None else speed,
         impact_energy_j=None if stop is None else float(stop.values["energy_j"]),
@@ -358,16 +347,12 @@ def summary(
     confirmation: the worst of all shifts. Lags: of the last shift that completed.
     """
     times = [s.shift_time_s for s in shifts]
-    speeds = [s.impact_speed_m_s for s in shifts if s.impact_speed_m_s is not None]
-    energies = [s.impact_energy_j for s in shifts if s.impact_energy_j is not None]
     last = next((s for s in reversed(shifts) if s.position_lag_10_s is not None), None)
     return {
         "shift_time_s": None if not times or None in times else sum(t for t in times if t),
-        "impact_speed_m_s": max(speeds, default=None),
-        "impact_energy_j": max(energies, default=None),
         **{
             name: max((v for s in shifts if (v := getattr(s, name)) is not None), default=None)
-            for name in WORST
+            for name in ("impact_speed_m_s", "impact_energy_j", *WORST)
         },
         **{name: last and getattr(last, name) for name in LAGS if "held" not in name},
         "air_used_kg": air_used_kg,

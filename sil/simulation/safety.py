@@ -24,18 +24,9 @@ from sil.simulation.metrics import gear_at
 from sil.simulation.scenario import FAULT_TABLES, Scenario
 
 COLUMNS = (
-    "detected_after_s",
-    "fault_bits",
-    "coils_off_after_s",
-    "end_position_m",
-    "end_gear",
-    "reported_gear",
-    "energised_at_end",
-    "worst_impact_m_s",
-    "both_filled_s",
-    "half_engaged",
-    "orphan_energised_s",
-    "false_gear_s",
+    *("detected_after_s", "fault_bits", "coils_off_after_s", "end_position_m", "end_gear"),
+    *("reported_gear", "energised_at_end", "worst_impact_m_s", "both_filled_s", "half_engaged"),
+    *("orphan_energised_s", "false_gear_s"),
 )
 """Gears as the contract numbers them: 0 neutral, 1 backward, 2 forward, 3 unknown."""
 
@@ -65,16 +56,14 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     before = reduce(or_, (bits for at, bits in faults if at < start), Fault.NONE)
     later = [(at, bits) for at, bits in faults if at >= start]
     energised = np.any([truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0)
-    late = np.flatnonzero(energised & (time_s >= start))
     off = math.nan
-    if len(late) and late[-1] + 1 < len(time_s):
+    if not energised[-1] and (late := np.flatnonzero(energised & (time_s >= start))).size:
         off = float(time_s[late[-1] + 1]) - start
     end = float(position[-1])
     end_gear = gear_at(end, record.stroke_m, windows.gear_tolerance_m, windows.neutral_tolerance_m)
     impacts = [abs(float(e.values["speed_m_s"])) for e in record.events if e.name == "stay_stop"]
     # absolute pressure that moves the stay against its friction
     both = (truth["pressure_B_pa"] > 3e5) & (truth["pressure_F_pa"] > 3e5)
-    step = float(np.median(np.diff(time_s)))
     return {
         "detected_after_s": next((at - start for at, bits in later if bits & ~before), math.nan),
         "fault_bits": float(reduce(or_, (bits for _, bits in later), Fault.NONE)),
@@ -84,7 +73,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "reported_gear": _reported_at(status, float(time_s[-1])),
         "energised_at_end": float(energised[-1]),
         "worst_impact_m_s": max(impacts, default=math.nan),
-        "both_filled_s": float(np.count_nonzero(both)) * step,
+        "both_filled_s": float(np.count_nonzero(both)) * _step_s(record),
         "half_engaged": float(end_gear == Gear.UNKNOWN),
         "orphan_energised_s": orphan_energised_s(record, scenario),
         "false_gear_s": false_gear_s(record, scenario),
@@ -101,11 +90,13 @@ def _reported_at(status: list[tuple[BusFrame, ControllerStatus | None]], at_s: f
 
 def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
     """Return for how long in s the valve driver energised a coil without a living controller."""
-    rows = np.count_nonzero(orphaned(record, circumstances(scenario)))
-    return float(rows) * float(np.median(np.diff(record.truth["time_s"])))
+    return float(np.count_nonzero(orphaned(record, circumstances(scenario)))) * _step_s(record)
 
 
 def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
     """Return the longest time in s for which a gear was reported that the stay was not in."""
-    wrong = falsely_reported(record, scenario.controller.windows)
-    return longest_run(wrong) * float(np.median(np.diff(record.truth["time_s"])))
+    return longest_run(falsely_reported(record, scenario.controller.windows)) * _step_s(record)
+
+
+def _step_s(record: RunRecord) -> float:
+    return float(np.median(np.diff(record.truth["time_s"])))

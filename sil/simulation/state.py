@@ -25,8 +25,7 @@ _VALUES = (
     *(np.generic, MappingProxyType, ModuleType),
 )
 
-Values = list[Any]
-"""A state: the values of each place, in their order."""
+Values = list[Any]  # a state: the values of each place, in their order
 
 
 class Place(NamedTuple):

@@ -34,9 +34,8 @@ OnProgress = Callable[[int, int], None]
 def header(study: Study) -> str:
     """Return the first line: row, choices, swept values, figures, outcome, reason."""
     swept = [sweep.path for sweep in study.file.sweep]
-    return _csv_line(
-        ["row", *study.file.groups, *swept, *study.file.columns(), "outcome", "reason"]
-    )
+    figures = study.file.columns()
+    return _csv_line(["row", *study.file.groups, *swept, *figures, "outcome", "reason"])
 
 
 def _csv_line(cells: Sequence[str]) -> str:
@@ -111,9 +110,8 @@ def run_study(
             (folder / STATE).unlink()
         raise
     if changed := changed_inputs(inputs, study.input_digests()):
-        raise RunError(
-            f"{path}: {', '.join(changed)} changed while the study ran; the rows are of both"
-        )
+        what = "changed while the study ran; the rows are of both"
+        raise RunError(f"{path}: {', '.join(changed)} {what}")
     return done - begin
 
 
@@ -140,9 +138,8 @@ def completed(study: Study, folder: Path) -> tuple[int, int]:
     """Return the number of whole rows in a study's table and their bytes. Raises InputError for another's."""
     state = folder / STATE
     try:
-        inputs = msgspec.convert(
-            parse_json(state.read_text(encoding="utf-8"))["inputs"], dict[str, str]
-        )
+        stored = parse_json(state.read_text(encoding="utf-8"))
+        inputs = msgspec.convert(stored["inputs"], dict[str, str])
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{state}: not the state of a sweep; expected one begun here") from None
     if changed := changed_inputs(inputs, study.input_digests()):
@@ -158,9 +155,8 @@ def completed(study: Study, folder: Path) -> tuple[int, int]:
         raise InputError(f"{path}: line 1: not this study's columns")
     for expected, text in enumerate(lines[1:]):
         if text.split(",", 1)[0] != str(expected):
-            raise InputError(
-                f"{path}: line {expected + 2}: not row {expected}; expected the rows in order, or --force"
-            )
+            what = f"not row {expected}; expected the rows in order, or --force"
+            raise InputError(f"{path}: line {expected + 2}: {what}")
     return len(lines) - 1, length
 
 

@@ -17,18 +17,9 @@ from sil.studies.study import Study, Table
 from sil.studies.table import markdown
 
 FAULT_TABLE_HEAD = (
-    "fault",
-    "shift",
-    "detected after",
-    "reported",
-    "valves off after",
-    "truly in",
-    "reported in",
-    "worst impact",
-    "B and F filled",
-    "half engaged",
+    *("fault", "shift", "detected after", "reported", "valves off after", "truly in"),
+    *("reported in", "worst impact", "B and F filled", "half engaged"),
 )
-
 LEGEND = (
     "Detected after: from the start of the fault to the first report of one, -: none was reported.",
     "Valves off after: from its start until the last coil was switched off, -: none was on.",
@@ -43,14 +34,8 @@ LEGEND = (
 
 def fault_table(study: Study, table: Table) -> str:
     """Return the table as Markdown, one line for each row, after the counts of safe states."""
-    head = (f"# {study.file.name}", "", study.file.description, "", *safe_states(study, table))
-    lines = [
-        *head,
-        "",
-        *markdown(FAULT_TABLE_HEAD, rows(study, table)),
-        "",
-        *(f"- {line}" for line in LEGEND),
-    ]
+    lines = [f"# {study.file.name}", "", study.file.description, "", *safe_states(study, table), ""]
+    lines += [*markdown(FAULT_TABLE_HEAD, rows(study, table)), "", *(f"- {x}" for x in LEGEND)]
     return "\n".join(lines) + "\n"
 
 
@@ -90,7 +75,6 @@ def rows(study: Study, table: Table) -> Iterator[tuple[str, ...]]:
     for i in range(table.size):
         *fault, shift = [table.texts[name][i] for name in study.file.groups] or [""]
         number = {name: values[i] for name, values in table.numbers.items()}
-        silent = math.isnan(number["reported_gear"])
         off_after = _milliseconds(number["coils_off_after_s"])
         yield (
             ", ".join(fault) or study.file.name,
@@ -99,7 +83,7 @@ def rows(study: Study, table: Table) -> Iterator[tuple[str, ...]]:
             _faults(number["fault_bits"]),
             "never" if number["energised_at_end"] else off_after,
             _gear(number["end_gear"]),
-            "nothing" if silent else _gear(number["reported_gear"]),
+            _gear(number["reported_gear"], "nothing"),
             _text(number["worst_impact_m_s"], "{:.2f} m/s"),
             _milliseconds(number["both_filled_s"]) if number["both_filled_s"] else "no",
             "yes" if number["half_engaged"] else "no",
@@ -114,8 +98,8 @@ def _milliseconds(seconds: float) -> str:
     return _text(1e3 * seconds, "{:.0f} ms")
 
 
-def _gear(code: float) -> str:
-    return "-" if math.isnan(code) else Gear(int(code)).name.lower()
+def _gear(code: float, unknown: str = "-") -> str:
+    return unknown if math.isnan(code) else Gear(int(code)).name.lower()
 
 
 def _faults(bits: float) -> str:

@@ -25,8 +25,7 @@ from sil.simulation.impacts import HOLD_S, counted, worst_speed_m_s
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Commands = Sequence[tuple[float, str, float]]
-"""(time s, valve, duty), as in a campaign."""
+Commands = Sequence[tuple[float, str, float]]  # (time s, valve, duty), as in a campaign
 
 
 PUSH = StrokeConditions("N-B", 900000.0, ((0.0, "B", FULL_DUTY),))

@@ -191,25 +191,20 @@ class Study:
 
         assert self.base is not None and isinstance(self.file, ScenarioStudy)
         table, path = self.base
-        return from_table(
-            table,
-            str(path),
-            model=None if self.file.model == "nominal" else self.file.model,
-            settings=settings,
-            seed=self.file.seed,
-            folder=path.parent,
-        )
+        model = None if self.file.model == "nominal" else self.file.model
+        how: Any = {"model": model, "settings": settings, "seed": self.file.seed}
+        return from_table(table, str(path), folder=path.parent, **how)
 
     def rows(self, begin: int = 0) -> Iterator[StudyRow]:
         """Yield the rows from number `begin` on, in their fixed order."""
+        paths = [sweep.path for sweep in self.file.sweep]
         combinations = list(itertools.product(*self.file.groups.values()))
         for number in range(begin, self.size):
             point, combination = divmod(number, len(combinations))
             settings: dict[str, Setting] = {}
             for choice in combinations[combination]:
                 settings |= choice.set
-            for sweep, value in zip(self.file.sweep, self.points[point], strict=True):
-                settings[sweep.path] = value
+            settings |= zip(paths, self.points[point], strict=True)
             names = tuple(choice.name for choice in combinations[combination])
             yield StudyRow(number, names, settings)
 

@@ -68,8 +68,7 @@ def write_page(
     write_atomically(folder / "report.html", page)
 
 
-MOST_LISTED_ROWS = 40
-"""A study of more rows shows groups, by their medians."""
+MOST_LISTED_ROWS = 40  # a study of more rows shows groups, by their medians
 
 
 def shown_rows(study: Study, table: Table) -> tuple[list[str], list[list[str]]]:

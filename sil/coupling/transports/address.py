@@ -44,9 +44,8 @@ def socket_path(channel: str) -> Path:
     elif re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", channel):
         path = folder() / f"{channel}.sock"
     else:
-        raise InputError(
-            f"channel {channel!r}: expected a name of letters, digits, '_', '.', '-', or a path"
-        )
+        expected = "expected a name of letters, digits, '_', '.', '-', or a path"
+        raise InputError(f"channel {channel!r}: {expected}")
     if len(os.fsencode(path)) > 107:  # sun_path holds 108 bytes, the last one zero
         raise InputError(f"channel {channel!r}: {path}; expected at most 107 bytes")
     if not path.parent.is_dir():

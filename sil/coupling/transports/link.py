@@ -123,8 +123,7 @@ class CanLink:
             self._lifeline.close()
 
 
-Link = LocalLink | CanLink
-"""Moves records between a participant and its coordinator."""
+Link = LocalLink | CanLink  # moves records between a participant and its coordinator
 
 
 class Session:
@@ -198,9 +197,8 @@ class Session:
                         raise self._lost_frames()
                     self._announced = control
                 elif control.kind == Kind.START:
-                    self._link.write(
-                        [wire.control(Kind.DONE, self._number, 0, self._first_event_ns)]
-                    )
+                    done = wire.control(Kind.DONE, self._number, 0, self._first_event_ns)
+                    self._link.write([done])
                 elif control.kind == Kind.STOP:
                     regular = control.participant == StopReason.END
                     self.ending = StopReason.END if regular else StopReason.ABORTED

@@ -22,8 +22,6 @@ from sil.coupling.transports.server import epoch_ns
 from sil.coupling.transports.wire import Kind
 
 ONLY_CHANNEL = "auto"
-
-
 _GREETING_S = 1.0
 
 
@@ -94,13 +92,8 @@ class LocalBus(can.BusABC):
     def _take(self, can_id: int, payload: bytes) -> None:
         control = wire.parse_control(can_id, payload)
         if control is None:
-            message = can.Message(
-                timestamp=to_seconds(self._arrival_ns),
-                arbitration_id=can_id,
-                is_extended_id=True,
-                data=payload,
-                channel=self._path.stem,
-            )
+            stamp_s, channel = to_seconds(self._arrival_ns), self._path.stem
+            message = can.Message(stamp_s, can_id, True, data=payload, channel=channel)
             if self._matches_filters(message):  # here: recv(0) ends at a message that is left out
                 self._received.append(message)
         elif control.kind == Kind.BUS_TIME:
@@ -125,12 +118,10 @@ class LocalBus(can.BusABC):
             self._read(left)
         classic = msg.is_extended_id and not (msg.is_fd or msg.is_remote_frame)
         frame = Frame(msg.arbitration_id, bytes(msg.data))
-        reason = ""
-        if not self._free:
+        if not (self._free and classic and wire.can_be_offered(frame)):
             reason = wire.reason(wire.Refusal.NO_PARTICIPANT)
-        elif not classic or not wire.can_be_offered(frame):
-            reason = "expected a classic data frame with a 29-bit identifier, EDP clear"
-        if reason:
+            if self._free:
+                reason = "expected a classic data frame with a 29-bit identifier, EDP clear"
             raise can.CanOperationError(f"{self.channel_info}: frame refused: {reason}")
         try:
             connection.settimeout(timeout or _GREETING_S)

@@ -16,8 +16,7 @@ from sil.coupling.transports.channel import Channel, ParticipantLost, Timeouts, 
 from sil.coupling.transports.server import Connection, Server
 from sil.coupling.transports.wire import Kind, Refusal
 
-MOST_OFFERS = 100_000
-"""Frames that a participant may offer in one turn."""
+MOST_OFFERS = 100_000  # frames that a participant may offer in one turn
 
 
 class Peer:
@@ -26,20 +25,15 @@ class Peer:
     def __init__(self, name: str, number: int) -> None:
         self.name = name
         self.number = number
-        self.child: ChildProcess | None = None
-        """Its process, if the coordinator started it."""
+        self.child: ChildProcess | None = None  # its process, if the coordinator started it
         self.connection: Connection | None = None
-        self.nonce: int | None = None
-        """That of its Hello; None until it has joined."""
+        self.nonce: int | None = None  # that of its Hello; None until it has joined
         self.granted_ns: int | None = None
         self.done: int | None = None
         self.retired = False
-        self.delivered = 0
-        """Frames of others passed on since the last grant."""
-        self.waiting: list[bytes] = []
-        """Records that are sent with the next grant."""
-        self.unread = 0
-        """Records broadcast since it was last known to have read all."""
+        self.delivered = 0  # frames of others passed on since the last grant
+        self.waiting: list[bytes] = []  # records that are sent with the next grant
+        self.unread = 0  # records broadcast since it was last known to have read all
         self.frames: list[tuple[int, Frame]] = []
         """Frames offered so far in this turn, with their release instants, ns."""
         self._release_ns = 0
@@ -58,9 +52,8 @@ class Peer:
         control = wire.parse_control(can_id, payload)
         if control is None:
             if not can_id & EDP_BIT:
-                raise self._against_rules(
-                    f"sent 0x{can_id:08X} past the arbitration; expected an offer (EDP set)"
-                )
+                what = f"sent 0x{can_id:08X} past the arbitration; expected an offer (EDP set)"
+                raise self._against_rules(what)
             self.frames.append((self._release_ns, Frame(can_id & ~EDP_BIT, payload)))
             if len(self.frames) > MOST_OFFERS:
                 raise self._against_rules(f"offered more than {MOST_OFFERS} frames in one turn")
@@ -68,9 +61,8 @@ class Peer:
             raise self._against_rules(f"sent as participant number {control.participant}")
         elif control.kind == Kind.RELEASE:
             if control.value < self.granted_ns:
-                raise self._against_rules(
-                    f"released a frame at {control.value} ns; expected {self.granted_ns} ns or later"
-                )
+                what = f"released a frame at {control.value} ns; expected {self.granted_ns} ns or later"
+                raise self._against_rules(what)
             self._release_ns = control.value
         elif control.kind == Kind.DONE:
             if control.extra != len(self.frames) & 0xFF:
@@ -151,17 +143,15 @@ class RemoteChannel(Channel, Server):
         while missing := [p.name for p in peers if p.nonce is None]:
             now = time.monotonic()
             if now >= deadline:
-                raise ParticipantLost(
-                    missing[0], f"did not join within {self._timeouts.start_s:g} s ({self.where})"
-                )
+                what = f"did not join within {self._timeouts.start_s:g} s ({self.where})"
+                raise ParticipantLost(missing[0], what)
             if now >= say_at:
                 say_at = deadline
                 self._say(f"waiting for {' and '.join(missing)} to join ({self.where})")
             self._pump(min(deadline, say_at) - now)
         for peer in peers:
             peer.grant(0)  # the turn that ends with the Done of the handshake
-        pids = [child.pid for child in self._children()]
-        if pids:
+        if pids := [child.pid for child in self._children()]:
             self._closing.enter_context(sharing_one_core(pids))
         self._send(wire.control(Kind.START, value=end_ns), *peers)
         answered = time.monotonic() + self._timeouts.answer_s

@@ -29,10 +29,8 @@ class Connection:
         accepted.setblocking(False)
         self.socket = accepted
         self.fileno = accepted.fileno()
-        self.participant: int | None = None
-        """Its number, when it has joined."""
-        self.echo = False
-        """Whether it receives its own frames, too."""
+        self.participant: int | None = None  # its number, when it has joined
+        self.echo = False  # whether it receives its own frames, too
         self.backlog: deque[bytes] = deque()
         self.backlog_bytes = 0
 

@@ -57,19 +57,14 @@ from sil.coupling.clock import NEVER_NS
 if sys.byteorder != "little":
     raise ImportError("the lockstep records are those of a little-endian machine")
 
-VERSION = 1
-"""Version of the protocol; Hello and Welcome carry it, and another one is refused."""
+VERSION = 1  # version of the protocol; Hello and Welcome carry it, and another one is refused
 
-NOBODY = 255
-"""Number in control frames that are about no participant in particular."""
-GUEST = "guest"
-"""The participant that a program of the user may be, announced in the scenario."""
+NOBODY = 255  # number in control frames that are about no participant in particular
+GUEST = "guest"  # the participant that a program of the user may be, announced in the scenario
 PARTICIPANTS = {p.name.lower(): int(p) for p in ParticipantId if p != ParticipantId.COORDINATOR}
-PARTICIPANTS[GUEST] = 4
-"""Participant name to its number on the wire."""
+PARTICIPANTS[GUEST] = 4  # participant name to its number on the wire
 RECORD_BYTES = SOCKETCAN_FRAME.size
-LONGEST_BATCH = 2048
-"""Records in one datagram of the local socket at most."""
+LONGEST_BATCH = 2048  # records in one datagram of the local socket at most
 
 _CONTROL = struct.Struct("<IB3xQ")
 
@@ -158,18 +153,14 @@ def real(frame: Frame) -> bytes:
 
 def offer(frame: Frame) -> bytes:
     """Return the record of a frame that waits for arbitration: the same, EDP set."""
-    return SOCKETCAN_FRAME.pack(
-        frame.can_id | (SOCKETCAN_EXTENDED | EDP_BIT), len(frame.data), frame.data
-    )
+    flagged_id = frame.can_id | (SOCKETCAN_EXTENDED | EDP_BIT)
+    return SOCKETCAN_FRAME.pack(flagged_id, len(frame.data), frame.data)
 
 
 def can_be_offered(frame: Frame) -> bool:
     """Return whether a participant may send the frame: classic, 29-bit, both data page bits clear."""
-    return (
-        0 <= frame.can_id <= MAX_ID
-        and not frame.can_id & PAGE_BITS
-        and len(frame.data) <= MAX_LENGTH
-    )
+    is_clear = 0 <= frame.can_id <= MAX_ID and not frame.can_id & PAGE_BITS
+    return is_clear and len(frame.data) <= MAX_LENGTH
 
 
 def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:

@@ -21,8 +21,7 @@ UNIT_S = 0.01
 STEM = {"B": 3, "N": 4, "F": 2}
 ANSWER = {"B": 1, "N": 2, "F": 1}
 STEM_SIZE = 2 * sum(STEM.values())
-NO_PULSE = -1.0
-"""Length of a pulse that is not there, in units of a policy."""
+NO_PULSE = -1.0  # length of a pulse that is not there, in units of a policy
 Edges = Mapping[str, Floats]
 """When the command of each valve changes, [strokes, changes] in s; at first it is off."""
 

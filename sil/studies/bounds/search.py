@@ -24,8 +24,7 @@ from sil.studies.policies import Floats, Ints
 
 ATTEMPT_STAGES = ((5, 6, 0.4), (8, 4, 0.35), (12, 1, 0.25))
 """Knots, from load to load, and share of the evaluations of an attempt's stages."""
-BEGINNINGS = 60
-"""Random stems, of which the softest begins an attempt."""
+BEGINNINGS = 60  # random stems, of which the softest begins an attempt
 
 
 class SearchProgress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -29,16 +29,15 @@ from sil.files.overrides import Settings
 from sil.report.figure import Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
+from sil.studies.design import Design, drawn_shares
 from sil.studies.figures import numbered, row_labels, title_of
 from sil.studies.kinds.budget import filter_delay_s
 from sil.studies.study import Choice, RowResult, ScenarioStudy, Study, StudyRow, Table
 
 FAILED_M_S = 10.0
-BUS_S = 0.0004
-"""Approximate time that a report spends on the bus."""
+BUS_S = 0.0004  # approximate time that a report spends on the bus
 
-Load = Callable[[Settings], Loaded]
-"""Returns the base scenario with settings."""
+Load = Callable[[Settings], Loaded]  # returns the base scenario with settings
 
 SPACES: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "air_cushion": {"trigger_m": (0.0005, 0.012), "lead_s": (0.0, 0.03), "burst_s": (0.005, 0.04)},
@@ -185,8 +184,8 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         spans = []
         for n, family in enumerate(families):
             low, width = 0.4 * (2 * n / len(families) - 1.0), 0.8 / len(families)
-            impacts_m_s = [table.numbers[f"impact_m_s {load.name}"] for load in self.load
-                           if load.name.split(",")[0] == family]  # fmt: skip
+            names = [load.name for load in self.load if load.name.split(",")[0] == family]
+            impacts_m_s = [table.numbers[f"impact_m_s {name}"] for name in names]
             for k, worst in enumerate(np.max(impacts_m_s, axis=0)):
                 if np.isfinite(worst):
                     spans.append(Span(0.0, worst, f"series{n}", "", k + low, k + low + 0.9 * width))
@@ -212,15 +211,11 @@ def cost_m_s(arrival: LoadShift, reference: LoadShift, free_s: float, late_m_s2:
 
 def spread_values(strategy: str, count: int, seed: int) -> list[dict[str, float]]:
     """Return the shipped defaults, then the points of a scrambled Sobol sequence."""
-    from scipy.stats import qmc
-
     space = SPACES[strategy]
     if not space or count < 2:
         return [{}]
-    sampler = qmc.Sobol(len(space), scramble=True, rng=seed)
-    points = sampler.random_base2(math.ceil(math.log2(count - 1)))[: count - 1]
     low, high = np.array(list(space.values())).T
-    drawn = low + (high - low) * points
+    drawn = low + (high - low) * drawn_shares(Design("sobol", count - 1, seed), len(space))
     return [{}, *(dict(zip(space, row.tolist(), strict=True)) for row in drawn)]
 
 
