@@ -118,9 +118,7 @@ def command() -> NoReturn:
     """Be the process `opc4`: SIGTERM and SIGHUP end it as Ctrl-C does; closed standard streams are null devices."""
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the matrices are small: threads only wait for each other
-    gc.set_threshold(
-        50_000, 10, 10
-    )  # what is imported stays: looking for garbage in it takes a tenth of a run
+    gc.set_threshold(50_000, 10, 10)  # what is imported stays: looking there is a tenth of a run
     _handle_signals(_interrupt)
     sys.unraisablehook = _unraisable
     os.register_at_fork(after_in_child=lambda: _handle_signals(signal.SIG_DFL))

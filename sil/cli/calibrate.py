@@ -66,18 +66,16 @@ def run(arguments: argparse.Namespace) -> int:
     write_atomically(out, model_text(result))
     write_page(result, figure, page, shlex.join(["opc4", *sys.argv[1:]]))
     if arguments.json:
+        names = ("rms_over_noise", "noise", "discrepancy", "correlation_time_s")
         table = {
             "campaign": result.name,
             "good": result.good,
             "headline": result.headline,
             "channels": {
-                name: {
-                    "rms_over_noise": item.misfit.rms,
-                    "noise": item.noise,
-                    "discrepancy": item.discrepancy,
-                    "correlation_time_s": item.time_s,
-                }
-                for name, item in result.channels.items()
+                name: dict(
+                    zip(names, (x.misfit.rms, x.noise, x.discrepancy, x.time_s), strict=True)
+                )
+                for name, x in result.channels.items()
             },
             "values": {
                 path: {"value": v.value, "low": v.low, "high": v.high}

@@ -35,10 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if len(arguments.run) < 2:
         raise InputError(f"{arguments.run[0]}: one run; expected two or more")
-    runs = [
-        read_run(path, name)
-        for path, name in zip(arguments.run, _names(arguments.run), strict=True)
-    ]
+    runs = [read_run(*each) for each in zip(arguments.run, _names(arguments.run), strict=True)]
     metrics = metric_rows([each.metrics for each in runs])
     events = [row for row in event_rows(runs) if row.differs]
     hashes = {each.trace_sha256 for each in runs}

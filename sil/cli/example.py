@@ -26,6 +26,7 @@ ARGUMENTS = (
 def run(arguments: argparse.Namespace) -> int:
     """List or copy. Raises InputError for an example that is not there, or a file that is."""
     from can_dbc.errors import InputError, nearest
+    from sil.files.atomic import write_atomically
 
     shipped = Path(__file__).parent.parent / "examples"
     examples = {path.parent.name: path.parent for path in sorted(shipped.glob("*/README.md"))}
@@ -40,7 +41,14 @@ def run(arguments: argparse.Namespace) -> int:
     source = examples[arguments.name]
     files = sorted(path.relative_to(source) for path in source.rglob("*.*") if path.is_file())
     out = arguments.out or Path(arguments.name)
-    _copy(source, files, out, arguments.force)
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: --out: is a file; expected a folder")
+    for file in files:
+        if (out / file).exists() and not arguments.force:
+            raise InputError(f"{out / file}: exists; expected a new folder, or --force")
+    for file in files:
+        (out / file).parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(out / file, (source / file).read_bytes())
     if arguments.json:
         print(json.dumps({"folder": str(out), "files": list(map(str, files))}))
     else:
@@ -50,18 +58,3 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _readme(folder: Path) -> str:
     return (folder / "README.md").read_text(encoding="utf-8")
-
-
-def _copy(source: Path, files: list[Path], out: Path, force: bool) -> None:
-    from can_dbc.errors import InputError
-    from sil.files.atomic import write_atomically
-
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: --out: is a file; expected a folder")
-    for file in files:
-        if (out / file).exists() and not force:
-            raise InputError(f"{out / file}: exists; expected a new folder, or --force")
-    out.mkdir(parents=True, exist_ok=True)
-    for file in files:
-        (out / file).parent.mkdir(exist_ok=True)
-        write_atomically(out / file, (source / file).read_bytes())

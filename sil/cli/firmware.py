@@ -52,21 +52,18 @@ def _check(firmware: str, as_json: bool) -> int:
 
         compiled(Path(firmware), options=WARNINGS)
     result = run_in_memory(load("lab_n_b", settings={"firmware": firmware}))
-    reached = result.shifts[-1].confirmed_s is not None
+    shift = result.shifts[-1]
+    reached = shift.confirmed_s is not None
     if as_json:
         cost = msgspec.to_builtins(result.firmware)
         print(json.dumps({"file": firmware, "gear_confirmed": reached, "cost": cost}))
     else:
-        print(f"{firmware}: {_shift_text(result)}")
+        how = "not confirmed"
+        if reached and shift.shift_time_s is not None:
+            how = f"in {1e3 * shift.shift_time_s:.0f} ms"
+        print(f"{firmware}: {shift.from_gear} to {shift.to_gear} {how}")
         print("\n".join(_cost_lines(result)))
     return 0 if reached else 1
-
-
-def _shift_text(result: Run) -> str:
-    shift = result.shifts[-1]
-    if shift.confirmed_s is None or shift.shift_time_s is None:
-        return f"{shift.from_gear} to {shift.to_gear} not confirmed"
-    return f"{shift.from_gear} to {shift.to_gear} in {1e3 * shift.shift_time_s:.0f} ms"
 
 
 def _cost_lines(result: Run) -> list[str]:

@@ -41,9 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     if out.exists() and not arguments.force:
         raise InputError(f"{out}: exists; expected a new file, or --force")
     import_extra("pythonfmu3", "fmu", "opc4 fmu")
-    loaded = load_scenario.load(
-        arguments.scenario, model=arguments.model, settings=arguments.settings
-    )
+    model, settings = arguments.model, arguments.settings
+    loaded = load_scenario.load(arguments.scenario, model=model, settings=settings)
     export(arguments.what, loaded, out)
     say(f"{out}: {arguments.what} of {loaded.scenario.name}, FMI 3.0 co-simulation")
     return 0

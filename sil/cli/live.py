@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     from can_dbc.user_file import resolved
     from sil.firmware.load import firmware_node
     from sil.live.server import Bench, serve
-    from sil.simulation import load_scenario
+    from sil.simulation import build, load_scenario
 
     if not 0 <= arguments.port <= 65535:
         raise InputError(f"--port {arguments.port}: expected 0 to 65535")
@@ -48,17 +48,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.firmware:
         checked = load_scenario.load("lab_n_b", settings={"firmware": arguments.firmware}).scenario
         firmware_node(checked.firmware, checked.controller).close()
-    shared = Bench(
-        scenarios,
-        resolved(folder),
-        log=lambda line: say(f"opc4 live: {line}"),
-        firmware=arguments.firmware,
-    )
+
+    def log(line: str) -> None:
+        say(f"opc4 live: {line}")
+
+    shared = Bench(scenarios, resolved(folder), log=log, firmware=arguments.firmware)
 
     def ready(address: str) -> None:
         print(address, flush=True)
-        say("opc4 live: ends with Ctrl-C")
-        shared.pool.submit(warm_up)
+        log("ends with Ctrl-C")
+        shared.pool.submit(lambda: build.warm_up(load_scenario.load("lab_n_b")))
         if not arguments.no_browser:
             webbrowser.open(address)
 
@@ -74,12 +73,5 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         asyncio.run(until_ended())
     except (KeyboardInterrupt, asyncio.CancelledError):
-        say("opc4 live: ended")
+        log("ended")
     return 0
-
-
-def warm_up() -> None:
-    """Load or compile the plant's equations while the page opens."""
-    from sil.simulation import build, load_scenario
-
-    build.warm_up(load_scenario.load("lab_n_b"))

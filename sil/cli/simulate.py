@@ -67,33 +67,22 @@ def run(arguments: argparse.Namespace) -> int:
     drawn: dict[str, tuple[SimulatedStroke, Mapping[str, Floats]]] = {}
 
     def note(item: SimulatedStroke) -> None:
-        rows.append(
-            {
-                "file": item.entry.file,
-                "label": item.entry.label,
-                "arrival_s": item.arrival_s,
-                "impact_speed_m_s": item.impact_speed_m_s,
-                "rms": item.rms,
-                "energy_residual_j": item.stroke.balance.energy_residual_j,
-                "balances_closed": item.stroke.balance.closed,
-            }
-        )
+        balance = item.stroke.balance
+        row: dict[str, Any] = {"file": item.entry.file, "label": item.entry.label}
+        row |= {name: getattr(item, name) for name in ("arrival_s", "impact_speed_m_s", "rms")}
+        row |= {"energy_residual_j": balance.energy_residual_j, "balances_closed": balance.closed}
+        rows.append(row)
         progress(len(rows), len(campaign.strokes))
         if len(drawn) < 4:  # the first of each kind
             record = by_file.get(item.entry.file)
             drawn.setdefault(item.entry.label, (item, record.columns if record else {}))
         if not arguments.json:
             deviations = "  ".join(shown(name, value) for name, value in item.rms.items())
-            print(
-                f"{item.entry.file}  {item.entry.label:<24} "
-                + (
-                    f"{'no stop':46}"
-                    if math.isnan(item.arrival_s)
-                    else f"stop at {1e3 * item.arrival_s:8.3f} ms of the record  "
-                    f"impact {item.impact_speed_m_s:7.4f} m/s"
-                )
-                + f"  {deviations}".rstrip()
-            )
+            stop = f"stop at {1e3 * item.arrival_s:8.3f} ms of the record"
+            stop += f"  impact {item.impact_speed_m_s:7.4f} m/s"
+            stop = f"{'no stop':46}" if math.isnan(item.arrival_s) else stop
+            line = f"{item.entry.file}  {item.entry.label:<24} {stop}"
+            print(f"{line}  {deviations}" if deviations else line)
 
     with Progress(f"simulating {campaign.name}", "strokes") as progress:
         write_campaign(campaign, simulate_campaign(campaign, parameters, records), folder, note)
@@ -110,6 +99,5 @@ def run(arguments: argparse.Namespace) -> int:
 def shown(name: str, value: float) -> str:
     """One deviation in the unit an engineer reads."""
     short = name.removesuffix("_pa").removesuffix("_m").replace("pressure_", "P_")
-    if name.endswith("_pa"):
-        return f"{short} {value / 1e5:.4f} bar"
-    return f"{short} {value * 1e3:.4f} mm"
+    is_pressure = name.endswith("_pa")
+    return f"{short} {value / 1e5:.4f} bar" if is_pressure else f"{short} {value * 1e3:.4f} mm"

@@ -21,7 +21,7 @@ from sil.cli.options import JSON, OWN_RULES, argument, out
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
-    from sil.swarm.hunt import Generation, Hunt
+    from sil.swarm.hunt import Hunt
 
 ARGUMENTS = (
     argument("target", "scenario, or firmware of one's own", "TARGET"),
@@ -38,16 +38,16 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Hunt until the time or the number of runs is over; return the exit code. Raises InputError and RunError."""
+    import msgspec
+
     from sil.files.output_folder import close_folders
     from sil.files.progress import Progress
     from sil.files.worker import in_turn
     from sil.rules.user_file import load_rules
-    from sil.swarm.hunt import Hunt
+    from sil.swarm.hunt import SWARM_FILE, Hunt
     from sil.swarm.pages import write_failures, write_page
 
-    base = _base(arguments)
-    rules = load_rules(arguments.rules)
-    hunt = Hunt(base, arguments.seed, rules)
+    hunt = Hunt(_base(arguments), arguments.seed, load_rules(arguments.rules))
     folder = _folder(hunt, arguments)
     runner = partial(in_turn, workers=arguments.workers, cluster=arguments.cluster)
     most_runs = math.inf if arguments.runs is None else arguments.runs
@@ -56,7 +56,10 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress("swarm", "runs" if arguments.hours is None else "s") as progress:
         progress(0.0, 1.0)
         for generation in hunt.run(runner, most_runs, until_s):
-            _store(folder, generation)
+            with open(folder / SWARM_FILE, "ab") as file:
+                file.write(msgspec.json.encode(generation) + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
             if arguments.hours is None:
                 runs = sum(each.runs for each in hunt.generations)
                 progress(runs, max(arguments.runs, runs), news(hunt))
@@ -122,17 +125,6 @@ def _folder(hunt: Hunt, arguments: argparse.Namespace) -> Path:
     return folder
 
 
-def _store(folder: Path, generation: Generation) -> None:
-    import msgspec
-
-    from sil.swarm.hunt import SWARM_FILE
-
-    with open(folder / SWARM_FILE, "ab") as file:
-        file.write(msgspec.json.encode(generation) + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
-
-
 def news(hunt: Hunt) -> str:
     """Return runs, rate, what was new in the last ten minutes, and failures so far."""
     generations, recent_s = hunt.generations, 0.0
@@ -145,9 +137,8 @@ def news(hunt: Hunt) -> str:
     runs, wall_s = (sum(getattr(g, name) for g in generations) for name in ("runs", "wall_s"))
     failures = sum(len(generation.failures) for generation in generations)
     text = f"{counted(runs, 'run')}, {runs / max(wall_s, 1e-9):.1f} a second, {new} new transitions"
-    return (
-        f"{text} in the last {min(recent_s, 600.0) / 60.0:.0f} min, {counted(failures, 'failure')}"
-    )
+    minutes = min(recent_s, 600.0) / 60.0
+    return f"{text} in the last {minutes:.0f} min, {counted(failures, 'failure')}"
 
 
 def _print(hunt: Hunt, files: dict[str, Any], result: dict[str, Any]) -> None:

@@ -69,15 +69,15 @@ def _wait(child: int, file: str, stacks: Any) -> None:
 def places(frame: FrameType | None) -> Iterator[str]:
     """Yield FILE:LINE of each call of a user's file, innermost first."""
     for caller, line in traceback.walk_stack(frame):
-        name = resolved(caller.f_code.co_filename)
-        yield from (f"{file}:{line}" for file in _files if name == resolved(file))
+        yield from _user_places(caller.f_code.co_filename, line)
 
 
 def _place(stacks: Any) -> str:
     """Return FILE:LINE of the innermost call of a user's file, on the first stack that was written."""
     stack = os.pread(stacks.fileno(), 1 << 16, 0).decode(errors="replace")
-    for name, line in re.findall(r'File "([^<"][^"]*)", line (\d+)', stack):
-        for file in _files:
-            if resolved(name) == resolved(file):
-                return f"{file}:{line}"
-    return ""
+    calls = re.findall(r'File "([^<"][^"]*)", line (\d+)', stack)
+    return next((place for call in calls for place in _user_places(*call)), "")
+
+
+def _user_places(name: str, line: str | int) -> list[str]:
+    return [f"{file}:{line}" for file in _files if resolved(name) == resolved(file)]

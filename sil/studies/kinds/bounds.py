@@ -192,9 +192,8 @@ def judged(problem: BoundProblem, policy: SearchProgress) -> dict[str, float]:
         "exact_m_s": problem.judge_of(NOMINAL),
         "fine_m_s": problem.judge_of(SHIFTED, 0.25),
     }
-    figures = {
-        name: float(problem.judged(policy, judge).worst_m_s[0]) for name, judge in judges.items()
-    }
+    stops_m_s = {name: problem.judged(policy, judge).worst_m_s for name, judge in judges.items()}
+    figures = {name: float(worst_m_s[0]) for name, worst_m_s in stops_m_s.items()}
     draws = problem.judged(policy, problem.judge_of(drawn(problem.parameters), 4.0))
     figures["drawn_m_s"] = float(draws.impact_m_s.max())
     figures["drawn_late_share"] = float((draws.late_s > LATER_S).mean())
@@ -257,13 +256,12 @@ def write_campaign(folder: Path, problem: BoundProblem, policy: SearchProgress) 
     for k, m in np.ndindex(judge.shape[:2]):
         impacts = judgement.impact_m_s[0, k, m]
         for i in sorted({0, int(np.argmax(impacts)), len(impacts) - 1}):
+            stroke = int(np.ravel_multi_index((k, m, i), judge.shape))
             conditions = replace(
                 GEARBOX[0],
                 mesh_force_n=judge.mesh_n[m],
                 sync_impulse_n_s=float(judge.impulses_n_s[i]),
-                commands=tuple(
-                    commands_of(edges, int(np.ravel_multi_index((k, m, i), judge.shape)))
-                ),
+                commands=tuple(commands_of(edges, stroke)),
             )
             label = f"{judge.mesh_n[m]:g} N, {judge.impulses_n_s[i]:g} N s, commands "
             label += f"{1e3 * judge.scatter[k].shift_s:+g} ms: {impacts[i]:.4f} m/s"
