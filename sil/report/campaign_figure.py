@@ -13,8 +13,7 @@ def campaign_figure(
     strokes: Iterable[tuple[SimulatedStroke, Mapping[str, Floats]]], title: str
 ) -> Figure:
     """Return strokes side by side, each with its record: columns [n] in SI units by name, if there are any."""
-    stacks = [_stack(item, recorded) for item, recorded in strokes]
-    return Figure(stacks, title, same_scale=True)
+    return Figure([_stack(*each) for each in strokes], title, same_scale=True)
 
 
 def _stack(item: SimulatedStroke, recorded: Mapping[str, Floats]) -> Stack:
@@ -35,6 +34,5 @@ def _stack(item: SimulatedStroke, recorded: Mapping[str, Floats]) -> Stack:
             lines.insert(0, Series("recorded", stroke.time_s * MS, measured, "measured", width=2.4))
         panels.append(Panel(title, unit, lines, rules=rules, height=150, legend=not panels))
         rules = []
-    return Stack(
-        "time of the record, ms", panels, f"{item.entry.label} ({item.entry.file})", width=5.0
-    )
+    title = f"{item.entry.label} ({item.entry.file})"
+    return Stack("time of the record, ms", panels, title, width=5.0)

@@ -45,9 +45,8 @@ def _stack(runs: Sequence[KeptRun], shift: int) -> Stack:
             *((f"pressure_{chamber}_pa", BAR) for chamber in CHAMBERS),
         ):
             y = run.trace[name][rows] * factor
-            lines.setdefault(name, []).append(
-                Series(run.name, x, y, role, width=max(3.2 - 0.9 * order, 1.2))
-            )
+            line = Series(run.name, x, y, role, width=max(3.2 - 0.9 * order, 1.2))
+            lines.setdefault(name, []).append(line)
         estimate = run.trace["position_internal_m"][rows] * MM
         lines["position_m"].append(Series("", x, estimate, role, "stepped", True, 1.0))
         marks = [(at_s, name) for at_s, name in run.events if name.endswith(" reported")]

@@ -29,9 +29,8 @@ def comparison_stack(before: Run, after: Run) -> Stack:
 
 def bus_stack(run: Run) -> Stack:
     """Return the firmware's states and the frames on the bus over the same axis."""
-    return _stack(
-        run, [states_panel(run.record), bus_panel(run.record, [Zoom("", 0.0, _end(run))])]
-    )
+    whole = [Zoom("", 0.0, _end(run))]
+    return _stack(run, [states_panel(run.record), bus_panel(run.record, whole)])
 
 
 def _stack(run: Run, panels: list[Panel]) -> Stack:
@@ -58,23 +57,15 @@ def _panels(run: Run) -> list[Panel]:
 
 
 def _over(panel: Panel, before: Panel) -> Panel:
-    lines = [
-        replace(
-            line,
-            label=f"{line.label}, before",
-            role=line.role if line.role in CHAMBERS else "faint",
-            dashed=True,
-            width=1.2,
-        )
-        for line in before.series
-        if not line.dashed
-    ]
+    lines = []
+    for line in (line for line in before.series if not line.dashed):
+        role, label = line.role if line.role in CHAMBERS else "faint", f"{line.label}, before"
+        lines.append(replace(line, label=label, role=role, dashed=True, width=1.2))
     if panel.title == STATES:  # a lane of its own, with the names
         lane = [replace(span, low=-1.0, high=-0.1, style="pale") for span in before.spans]
         ticks = [*panel.ticks, (-0.55, "before")]
-        return replace(
-            panel, spans=[*panel.spans, *lane], ticks=ticks, limits=(-1.0, 1.0), height=60
-        )
+        spans = [*panel.spans, *lane]
+        return replace(panel, spans=spans, ticks=ticks, limits=(-1.0, 1.0), height=60)
     bars = [
         replace(span, low=span.low - 0.08, high=span.low, label="", style="pale")
         for span in before.spans

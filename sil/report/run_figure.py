@@ -93,14 +93,11 @@ def with_faults(
     reported: (instant in s, name); end_s: of the run; begin_s: of the run, on the axis.
     """
     is_named = panel.title.startswith("Position")
-    spans = [
-        Span(
-            (begin_s + start_s) * MS,
-            (end_s if until_s is None else begin_s + until_s) * MS,
-            "fault",
-        )
+    windows_s = [
+        (begin_s + start_s, end_s if until_s is None else begin_s + until_s)
         for _, start_s, until_s in faults
     ]
+    spans = [Span(start_s * MS, until_s * MS, "fault") for start_s, until_s in windows_s]
     rules = [
         Rule(at_s * MS, f"{name} reported" if is_named else "", "alarm", "x", "dashed")
         for at_s, name in reported
@@ -218,9 +215,8 @@ def _synchronizer_notes(record: RunRecord, zooms: Sequence[Zoom]) -> Iterator[No
             position = float(event.values["position_m"]) * MM
             note = Note(0.5 * (begun + event.time_s) * MS, position, text, up=-4.0)
             if (event.time_s - begun) * MS < _width(text, note.x, zooms) and position < 0.0:
-                note = replace(
-                    note, x=event.time_s * MS, align="right"
-                )  # the curve falls on its right
+                # the curve falls on its right
+                note = replace(note, x=event.time_s * MS, align="right")
             yield note
             begun = None
 
@@ -268,9 +264,8 @@ def _valves(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     """Return commands above reactions, with the delays between them where there is room."""
     spans, notes, ticks, rules = [], [], [], []
     for lane, chamber in enumerate(reversed(CHAMBERS)):
-        coil, blowing, is_open = (
-            [(a * MS, b * MS) for a, b in times] for times in valve_spans(record, chamber)
-        )
+        spans_s = valve_spans(record, chamber)
+        coil, blowing, is_open = ([(a * MS, b * MS) for a, b in times] for times in spans_s)
         open_lane, coil_lane = (lane + 0.08, lane + 0.44), (lane + 0.54, lane + 0.90)
         for times, text, between, style in (
             (is_open, "", open_lane, "solid"),
@@ -342,16 +337,11 @@ def _pressures(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     time = record.truth["time_s"] * MS
     supply = record.supply_pressure_pa * BAR
     lines = {c: record.truth[f"pressure_{c}_pa"] * BAR for c in CHAMBERS}
-    return Panel(
-        "Pressure, absolute",
-        "bar",
-        [Series(c, time, values, c, width=1.8) for c, values in lines.items()],
-        rules=[Rule(supply, "supply", "faint", "y", "dashed")],
-        notes=[note for zoom in zooms for note in _letters(zoom, time, lines, supply)],
-        height=155,
-        limits=(0.0, 1.12 * supply),
-        legend=False,
-    )
+    series = [Series(c, time, values, c, width=1.8) for c, values in lines.items()]
+    rules = [Rule(supply, "supply", "faint", "y", "dashed")]
+    notes = [note for zoom in zooms for note in _letters(zoom, time, lines, supply)]
+    return Panel("Pressure, absolute", "bar", series, rules=rules, notes=notes,
+                 height=155, limits=(0.0, 1.12 * supply), legend=False)  # fmt: skip
 
 
 def _letters(zoom: Zoom, time: Floats, lines: dict[str, Floats], scale: float) -> Iterator[Note]:
@@ -406,14 +396,10 @@ def bus_panel(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
             start, end = entry.released_ns / NS_PER_S * MS, entry.arrival_ns / NS_PER_S * MS
             if any(zoom.low <= end and start <= zoom.high for zoom in zooms):
                 spans.append(Span(start, max(end, start + 0.1), role, "", lane - 0.32, lane + 0.32))
-    return Panel(
-        "Frames on the bus, from release to arrival",
-        spans=spans,
-        ticks=[(float(lane), kind.__name__) for lane, (kind, _) in enumerate(lanes)],
-        keys=list(SENDER_ROLES.items()),
-        height=160,
-        limits=(-0.7, len(lanes) - 0.3),
-    )
+    ticks = [(float(lane), kind.__name__) for lane, (kind, _) in enumerate(lanes)]
+    keys, limits = list(SENDER_ROLES.items()), (-0.7, len(lanes) - 0.3)
+    title = "Frames on the bus, from release to arrival"
+    return Panel(title, spans=spans, ticks=ticks, keys=keys, height=160, limits=limits)
 
 
 RPM = 30.0 / np.pi
@@ -438,14 +424,14 @@ def vehicle_panels(record: RunRecord) -> list[Panel]:
 
 
 def _torque(record: RunRecord) -> Panel:
-    lines = [
-        Series(label, times * MS, np.array(values) * 100.0, role, "stepped", width=width)
-        for label, field, role, width in (
-            ("asked for by the driver", "driver_torque", "faint", 1.0),
-            ("engine", "torque", "truth", 2.0),
-        )
-        for times, values in (record.series(Eec1, field),)
-    ]
+    lines = []
+    for label, field, role, width in (
+        ("asked for by the driver", "driver_torque", "faint", 1.0),
+        ("engine", "torque", "truth", 2.0),
+    ):
+        times, values = record.series(Eec1, field)
+        percent = np.array(values) * 100.0
+        lines.append(Series(label, times * MS, percent, role, "stepped", width=width))
     notes = [
         Note(0.5 * (begin + end) * MS, 0.0, f"torque to torque {(end - begin) * MS:.0f} ms", up=8.0)
         for begin, end in without_torque(record)

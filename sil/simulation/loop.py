@@ -68,13 +68,11 @@ class Loop:
         ]
         self.plan = FaultPlan(scenario.fault, scenario.seed)
         self.bus = build.make_bus(scenario, self.plan)
+        channel = InProcess(self.participants, build.received())
+        end_ns, outages = to_ns(scenario.duration_s), self.plan if scenario.fault else None
+        record, order = self.frames.extend, build.SENDERS
         self.lockstep = Lockstep(
-            self.bus,
-            [InProcess(self.participants, build.received())],
-            to_ns(scenario.duration_s),
-            record=self.frames.extend,
-            outages=self.plan if scenario.fault else None,
-            order=build.SENDERS,
+            self.bus, [channel], end_ns, record=record, outages=outages, order=order
         )
 
     def advance(self, until_s: float) -> None:

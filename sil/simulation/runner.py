@@ -119,12 +119,13 @@ def run(
             if free is not None:
                 summary = free.run(record)
             else:
+                end_ns, outages = to_ns(scenario.duration_s), plan if scenario.fault else None
                 lockstep = Lockstep(
                     bus,
                     channels,
-                    to_ns(scenario.duration_s),
+                    end_ns,
                     record=record,
-                    outages=plan if scenario.fault else None,
+                    outages=outages,
                     pacer=pacer,
                     order=SENDERS,
                 )
@@ -231,13 +232,11 @@ def _judge(
     say: Say = silent,
 ) -> Finished:
     """Compute metrics and checks from the recorded run; write result.json and trace.csv."""
-    scenario = loaded.scenario
+    scenario, cost = loaded.scenario, read_cost(folder)
     record: RunRecord | None = None
     shifts: list[metrics.Shift] = []
-    figures: dict[str, Any] = {}
     checks: list[Check] = []
-    balances: dict[str, Any] = {}
-    cost = read_cost(folder)
+    figures, balances = dict[str, Any](), dict[str, Any]()
     warnings = [*contradictions(scenario), *overload(bus)]
     for line in warnings:
         say(f"warning: {line}")
@@ -273,8 +272,7 @@ def _judge(
         why = f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
     complete = why is None and summary is not None
     passed = complete and all(c.passed for c in checks)
-    wall = time.perf_counter() - begun
-    speed: dict[str, float] = {"wall_s": wall}
+    speed: dict[str, float] = {"wall_s": time.perf_counter() - begun}
     if summary is not None:
         speed |= {
             "loop_wall_s": summary.wall_s,
@@ -312,11 +310,9 @@ def _figures(
     scenario: Scenario, rules: Sequence[Rule], recorded: RunReader, path: Path
 ) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
     """Write the trace of a run, and collect observations and shifts, piece by piece."""
-    observed = expectations.Observed(circumstances(scenario), rules=rules)
-    gear = build.gear_of(scenario.initial_gear)
+    observed, checked = expectations.Observed(circumstances(scenario), rules=rules), EndToEnd()
+    gear, switchings = build.gear_of(scenario.initial_gear), 0
     changes: list[tuple[float, Gear, Gear]] = []
-    switchings = 0
-    checked = EndToEnd()
     with open_atomically(path) as file:
         csv = TraceCsv(file)
         for piece in recorded:
@@ -326,8 +322,5 @@ def _figures(
             switchings += metrics.valve_switchings(piece)
             changes += metrics.requests(piece, changes[-1][2] if changes else gear)
     spans = metrics.spans(changes, recorded.end_s)
-    shifts = [
-        metrics.shift_figures(recorded.span(start, until), start, source, target, until)
-        for start, source, target, until in spans
-    ]
+    shifts = [metrics.shift_figures(recorded.span(each[0], each[-1]), *each) for each in spans]
     return observed, shifts, switchings, checked

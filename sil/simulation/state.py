@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from enum import Enum
 from functools import partial
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from pathlib import PurePath
 from types import BuiltinFunctionType, MappingProxyType, MethodType, ModuleType
 from typing import Any, NamedTuple
@@ -116,17 +116,12 @@ def _parts(value: Any) -> Iterator[Any]:
 
 def _attributes(owner: Any, names: list[str]) -> Place:
     names = names if len(names) > 1 else 2 * names  # of one name, a getter gives no tuple
-    slots = not hasattr(owner, "__dict__")
-    take = partial(attrgetter(*names), owner) if slots else partial(itemgetter(*names), vars(owner))
 
     def put(values: tuple[Any, ...]) -> None:
-        if not slots:
-            vars(owner).update(zip(names, values, strict=True))
-            return
         for name, value in zip(names, values, strict=True):
             setattr(owner, name, value)
 
-    return Place(owner, take, put, tuple(names))
+    return Place(owner, partial(attrgetter(*names), owner), put, tuple(names))
 
 
 def _refill(container: Any, content: Any) -> None:
