@@ -1,8 +1,8 @@
 """What the shifts of a truck would show: the least size of each cause, and what looks the same.
 
-The size follows from the information in the shifts, and is tested by a fit: shifts of such a truck with the
-cause are simulated, and a healthy truck is fitted to them. A cause is noticed if what that leaves is enough
-for an alarm in nine of ten trucks.
+Shifts of such a truck with the cause are simulated, and a healthy truck is fitted to them: from where it was,
+and while the cause grows. A cause is noticed if its evidence against that one is enough for an alarm in nine
+of ten trucks.
 Checked by: tests/unit/sil/inference/truck/test_detectable.py
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from sil.inference.problem import Floats
 from sil.inference.thresholds import LIMITS
 from sil.inference.truck.causes import Cause
-from sil.inference.truck.fit import FINE_M, PRIORS, Fit, Fitter
+from sil.inference.truck.fit import FINE_M, MIDDLE_M, Fit, Fitter
 from sil.inference.truck.gains import Beside, secants
 from sil.inference.workers import spread_out
 
@@ -31,17 +31,21 @@ class Tested:
     sure: standard deviations of the evidence for 90 % certainty; separable: chi squared by which two causes
     differ that can be told apart, three standard deviations; largest_rival: size up to which another cause
     is tried: three deviations of a size's prior; first: the first size by that of a linear model, growth to
-    the next, at most `tries` and up to `largest`; rounds of each fit; tiny: least information of a cause.
+    the next, at most `tries` and up to `largest`; rounds of a fit, of each while the cause grows through its
+    `shares`; shifts: of more, so many are tested, each for its share; tiny: least information of a cause.
     """
 
     sure: float = 1.28
     separable: float = 9.0
     largest_rival: float = 10.0
     first: float = 0.8
-    growth: float = 1.6
-    tries: int = 4
+    growth: tuple[float, float] = (1.25, 3.0)
+    tries: int = 6
     largest: float = 20.0
     rounds: int = 8
+    shares: tuple[float, ...] = (0.33, 0.67, 1.0)
+    rounds_each: int = 4
+    shifts: int = 12
     tiny: float = 1e-6
 
 
@@ -70,62 +74,95 @@ def detectable_of(
     fitter: Fitter, fit: Fit, causes: Sequence[Cause], workers: int = 1
 ) -> list[Detectable]:
     """Return what shifts like these would show of each effect in its first variant, in a truck as fitted."""
+    tested = np.unique(np.linspace(0, len(fitter.model) - 1, TESTED.shifts).round().astype(int))
+    share = len(tested) / len(fitter.model)
+    if share < 1.0:
+        fitter = Fitter(fitter.model.only(tested), fitter.measured_noise_m)
     # beside a cause the loads may differ between shifts again, whatever they do in this truck
     spread = np.maximum(fit.spread, 1.0)
-    truck = replace(fit, cause=None, size=0.0, noise_factor=1.0, spread=spread)
+    truck = replace(fit, noise_factor=1.0, spread=spread, each=fit.each[tested])
     truck = fitter.evaluated(truck, FINE_M)
+    if share < 1.0:
+        fitter.reference = fitter.slopes(truck)
     first: dict[str, Cause] = {}
     for cause in causes:
         first.setdefault(cause.id, cause)
-    own = list(first.values())
-    slopes = np.array([secants(fitter, truck, c, [float(c.sign or 1)])[0] for c in own])
-    information = Beside.of(fitter, truck).information(slopes)[0]
-    prior = log(LIMITS.healthy_prior / (1.0 - LIMITS.healthy_prior) * len(own))
-    alarm = log((1.0 - LIMITS.max_healthy_probability) / LIMITS.max_healthy_probability)
-
-    usual = _seeing(fitter, truck.position_m)
-    least = usual.improved(truck, FINE_M, TESTED.rounds).cost
+    kept = list(first.values())
+    slopes = np.array([secants(fitter, truck, c, [float(c.sign or 1)])[0] for c in kept])
+    information = Beside.of(fitter, truck).information(slopes)[0] / share
+    odds = LIMITS.healthy_prior / (1.0 - LIMITS.healthy_prior) * len(kept)
+    odds *= (1.0 - LIMITS.max_healthy_probability) / LIMITS.max_healthy_probability
+    # gain - TESTED.sure sqrt(2 gain) = log(odds)
+    gain = 0.5 * (TESTED.sure + sqrt(TESTED.sure**2 + 2.0 * log(odds))) ** 2
 
     def noticed(k: int) -> float | None:
-        own_information = max(float(information[k, k]), TESTED.tiny)
-        needed = prior + alarm + 0.5 * log(1.0 + own_information * PRIORS.size_sd**2)
-        # gain - TESTED.sure sqrt(2 gain) = needed; a linear cause gains size^2 information / 2
-        gain = 0.5 * (TESTED.sure + sqrt(TESTED.sure**2 + 2.0 * needed)) ** 2
-        size = TESTED.first * sqrt(2.0 * gain / own_information) * (own[k].sign or 1)
+        information_kk = max(float(information[k, k]), TESTED.tiny)
+        # a linear cause gains size^2 information / 2
+        size = TESTED.first * sqrt(2.0 * gain / information_kk) * (kept[k].sign or 1)
         for _ in range(TESTED.tries):
-            if own[k].clipped(size) != size or abs(size) > TESTED.largest:
+            if kept[k].clipped(size) != size or abs(size) > TESTED.largest:
                 return None
-            if fitted_cost(fitter, truck, own[k], size, least + gain) - least > gain:
+            there = gain_of(fitter, truck, kept[k], size, share * gain) / share
+            if there > gain:
                 return size
-            size *= TESTED.growth
+            low, high = TESTED.growth
+            size *= min(max(sqrt(gain / max(there, TESTED.tiny)), low), high)
         return None
 
-    sizes = spread_out(noticed, range(len(own)), workers)
-    rows = zip(own, sizes, range(len(own)), strict=True)
+    sizes = spread_out(noticed, range(len(kept)), workers)
+    rows = zip(kept, sizes, range(len(kept)), strict=True)
     return [
-        Detectable(cause, size, () if size is None else _alike(information, own, k, size))
+        Detectable(cause, size, () if size is None else _alike(information, kept, k, size))
         for cause, size, k in rows
     ]
 
 
-def fitted_cost(
+def gain_of(
     fitter: Fitter, truck: Fit, cause: Cause, size: float, enough: float = -np.inf
 ) -> float:
-    """Return the cost, down to `enough`, of a healthy truck fitted to shifts of `truck` with a cause of a size."""
-    which = np.arange(len(fitter.model))
-    amounts = fitter.layout.amounts(truck.unit, truck.each)
-    x, done = fitter.model.positions(which, amounts, cause, size)
-    if not done.all():
+    """Return the log evidence for a cause against a healthy truck, in shifts of `truck` with it of a size.
+
+    Infinite if such shifts cannot be simulated; at most `enough` it is a bound from above.
+    """
+    with_cause = replace(truck, cause=cause, size=size)
+    seen = _with_positions(fitter, with_cause)
+    if seen is None:
         return float("inf")
-    return _seeing(fitter, x).improved(truck, FINE_M, TESTED.rounds, enough=enough).cost
+    with_cause = seen.evaluated(with_cause, FINE_M)
+    best = seen.improved(truck, FINE_M, TESTED.rounds)
+    if best.cost - with_cause.cost > enough:
+        other = seen.improved(_followed(fitter, with_cause), FINE_M, TESTED.rounds)
+        best = min(best, other, key=lambda fit: fit.cost)
+    # evidence gains less than the cost falls: a cause pays for its size
+    if best.cost - with_cause.cost <= enough:
+        return best.cost - with_cause.cost
+    rng = np.random.default_rng(1)
+    healthy, faulty = (seen.finished(fit, rng, times=1) for fit in (best, with_cause))
+    return faulty.evidence - healthy.evidence
 
 
-def _seeing(fitter: Fitter, position_m: Floats | None) -> Fitter:
-    """Return a fitter for which other positions were recorded."""
-    assert position_m is not None
-    other = copy.copy(fitter)
-    other.position_m = position_m
-    return other
+def _followed(fitter: Fitter, with_cause: Fit) -> Fit:
+    """Return a healthy truck fitted again and again while the cause grows: at once, it is stuck on the way."""
+    rng = np.random.default_rng(1)
+    fit = replace(with_cause, cause=None, size=0.0)
+    for share in TESTED.shares:
+        seen = _with_positions(fitter, replace(with_cause, size=share * with_cause.size))
+        if seen is not None:
+            fit = seen.improved(fit, FINE_M, TESTED.rounds_each)
+    assert seen is not None
+    return seen.improved(seen.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, TESTED.rounds)
+
+
+def _with_positions(fitter: Fitter, fit: Fit) -> Fitter | None:
+    """Return a fitter that sees the positions of another truck; None if they cannot be simulated."""
+    which = np.arange(len(fitter.model))
+    amounts = fitter.layout.amounts(fit.unit, fit.each)
+    positions_m, done = fitter.model.positions(which, amounts, fit.cause, fit.size)
+    if not done.all():
+        return None
+    seen = copy.copy(fitter)
+    seen.position_m = positions_m
+    return seen
 
 
 def _alike(information: Floats, causes: Sequence[Cause], k: int, size: float) -> tuple[str, ...]:
