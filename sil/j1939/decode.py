@@ -74,11 +74,8 @@ class DecodeReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
-        names = (
-            *("source", "target", "database", "values", "messages", "broken", "short"),
-            *("unavailable", "problems", "unknown"),
-        )
-        return {name: getattr(self, name) for name in names} | {
+        values = {name: value for name, value in vars(self).items() if name != "transport"}
+        return values | {
             "long_messages": self.transport.assembled,
             "long_messages_lost": self.transport.lost,
             "read": self.read.as_dict(),
@@ -268,16 +265,10 @@ class _Mf4:
             name, source, channel = key
             title = name + ("" if source is None else f" of {source:#04x}")
             title += f" on {channel}" if channel else ""
-            signals = [
-                self._asammdf.Signal(
-                    column,
-                    times_s,
-                    name=f.name,
-                    unit=f.signal.unit or "",
-                    comment=f.signal.comment or "",
-                )
-                for f, column in zip(fields, columns, strict=True)
-            ]
+            signals = []
+            for (field_name, signal, _), column in zip(fields, columns, strict=True):
+                texts = {"unit": signal.unit or "", "comment": signal.comment or ""}
+                signals.append(self._asammdf.Signal(column, times_s, name=field_name, **texts))
             self._groups[key] = len(self._groups)
             self.measurement.append(signals, acq_name=title, comment=title, common_timebase=True)
 

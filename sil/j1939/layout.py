@@ -46,34 +46,13 @@ class MessageLayout:
                 self.problems.append(
                     f"a second signal {signal.name} of {message.name}: as {name!r}"
                 )
-            alone = self._alone(signal)
-            if alone is None:
+            try:
+                self.fields.append(Field(name, signal, _alone(message, signal)))
+            except Error:
                 self.problems.append(
                     f"signal {name} of {message.name} is not decoded: it leaves the message's "
                     f"{message.length} bytes"
                 )
-            else:
-                self.fields.append(Field(name, signal, alone))
-
-    def _alone(self, signal: Signal) -> Message | None:
-        """Return a message of one signal; None if that does not fit into it."""
-        from cantools.database import Error
-        from cantools.database.can import Message
-
-        plain = copy.copy(signal)
-        plain.multiplexer_ids, plain.multiplexer_signal = None, None
-        plain.is_multiplexer = False
-        try:
-            return Message(
-                self.message.frame_id,
-                self.message.name,
-                self.message.length,
-                [plain],
-                is_extended_frame=self.message.is_extended_frame,
-                strict=True,
-            )
-        except Error:
-            return None
 
     def decode(self, data: bytes) -> dict[str, Any]:
         """Return the raw values in a frame by name; those that it is too short for are missing.
@@ -91,11 +70,19 @@ class MessageLayout:
         return {f.name: raw[f.name] for f in self.fields if f.name in raw and _sent(f.signal, raw)}
 
 
+def _alone(message: Message, signal: Signal) -> Message:
+    """Return a message of one signal. Raises cantools' Error if that does not fit into it."""
+    plain = copy.copy(signal)
+    plain.multiplexer_ids, plain.multiplexer_signal = None, None
+    plain.is_multiplexer = False
+    how = {"is_extended_frame": message.is_extended_frame, "strict": True}
+    return type(message)(message.frame_id, message.name, message.length, [plain], **how)
+
+
 def _sent(signal: Signal, raw: Mapping[str, Any]) -> bool:
     """Return whether a multiplexed signal is in a frame with these raw values."""
-    return (
-        not signal.multiplexer_ids or raw.get(signal.multiplexer_signal) in signal.multiplexer_ids
-    )
+    ids = signal.multiplexer_ids
+    return not ids or raw.get(signal.multiplexer_signal) in ids
 
 
 def is_unavailable(signal: Signal, raw: Any) -> bool:

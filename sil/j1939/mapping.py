@@ -5,6 +5,7 @@ Checked by: tests/unit/sil/j1939/test_mapping.py
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
@@ -105,19 +106,9 @@ class SignalMapping:
             self._bind(row, f"{self.path}: signal[{index}]", messages)
 
     def _bind(self, row: MappedSignal, where: str, messages: dict[str, Message]) -> None:
-        if row.message not in messages:
-            name = typed_toml.one_line(row.message, 60)
-            raise InputError(
-                f"{where}.message: {name!r} is {unknown_name(row.message, messages)} (of {self.dbc})"
-            )
-        message = messages[row.message]
+        message = _named(messages, row.message, f"{where}.message", self.dbc)
         signals = {signal.name: signal for signal in message.signals}
-        if row.signal not in signals:
-            name = typed_toml.one_line(row.signal, 60)
-            raise InputError(
-                f"{where}.signal: {name!r} is {unknown_name(row.signal, signals)} "
-                f"(of {message.name} in {self.dbc})"
-            )
+        signal = _named(signals, row.signal, f"{where}.signal", f"{message.name} in {self.dbc}")
         if message.length > 64:
             raise InputError(
                 f"{where}.message: {message.name} has {message.length} bytes; expected one frame"
@@ -125,7 +116,7 @@ class SignalMapping:
         if row.scale == 0.0:
             raise InputError(f"{where}.scale: 0 makes every value the same; expected another")
         self._messages[message.name] = message
-        self._signals.append(signals[row.signal])
+        self._signals.append(signal)
 
     def messages_of(self, *meanings: Meaning) -> list[str]:
         """Return the messages that carry any of the meanings, each once."""
@@ -145,16 +136,15 @@ class SignalMapping:
 
     def sender(self, channel: str, can_id: int, extended: bool) -> Sender | None:
         """Return which mapped message the frames of an identifier are, and whose; None for others."""
+        theirs = split_id(can_id)
         for name, message in self._messages.items():
+            ours = split_id(message.frame_id)
+            anyone = ours.source == ANY_SOURCE or message.protocol == "j1939"
             if message.is_extended_frame != extended:
                 continue
-            if not extended:
-                if message.frame_id == can_id:
-                    return Sender(name, channel, ANY_SOURCE)
-                continue
-            theirs, ours = split_id(can_id), split_id(message.frame_id)
-            anyone = ours.source == ANY_SOURCE or message.protocol == "j1939"
-            if theirs.pgn == ours.pgn and (anyone or theirs.source == ours.source):
+            if not extended and message.frame_id == can_id:
+                return Sender(name, channel, ANY_SOURCE)
+            if extended and theirs.pgn == ours.pgn and (anyone or theirs.source == ours.source):
                 return Sender(name, channel, theirs.source)
         return None
 
@@ -184,3 +174,11 @@ def _physical(signal: Signal, raw: float, is_j1939: bool) -> float | None:
     if (low is not None and value < low) or (high is not None and value > high):
         return None
     return value
+
+
+def _named(entries: Mapping[str, Any], name: str, where: str, place: str) -> Any:
+    """Return the entry with a name. Raises InputError with the nearest names."""
+    if name not in entries:
+        shown = typed_toml.one_line(name, 60)
+        raise InputError(f"{where}: {shown!r} is {unknown_name(name, entries)} (of {place})")
+    return entries[name]

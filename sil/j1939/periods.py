@@ -87,12 +87,11 @@ def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
             continue
         channels.add(frame.channel)
         key = frame.can_id, frame.extended
-        message = messages.get(key)
-        if message is None:
+        if key not in messages:
             if len(messages) >= 4_000:
                 raise InputError(f"{log}: over 4000 messages; expected a bus, which has fewer")
-            message = messages[key] = MeasuredMessage(*key)
-        message.take(frame)
+            messages[key] = MeasuredMessage(*key)
+        messages[key].take(frame)
     if len(channels) > 1:
         raise InputError(
             f"{log}: channels {', '.join(sorted(channels)[:8])}; expected one bus, by --channel"
@@ -102,17 +101,13 @@ def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
         raise InputError(
             f"{log}: no message comes {_LEAST_INTERVALS + 1} times; expected a log of a bus in traffic"
         )
-    notes = []
-    if rare := len(messages) - len(measured):
-        notes.append(f"{counted(rare, 'message')} too rare to be measured, left out")
-    if fd:
-        notes.append(
-            f"{counted(fd, 'CAN FD frame')} left out: the analysis covers classic CAN only"
-        )
-    if irregular := sum(1 for message in measured if not message.periodic):
-        notes.append(
-            f"{counted(irregular, 'message')} not periodic: taken by the mean interval (~)"
-        )
+    irregular = sum(1 for message in measured if not message.periodic)
+    counts = (
+        (len(messages) - len(measured), "message", "too rare to be measured, left out"),
+        (fd, "CAN FD frame", "left out: the analysis covers classic CAN only"),
+        (irregular, "message", "not periodic: taken by the mean interval (~)"),
+    )
+    notes = [f"{counted(count, noun)} {what}" for count, noun, what in counts if count]
     return MeasuredBus(sorted(measured, key=lambda message: message.period_ns), notes)
 
 
@@ -124,10 +119,9 @@ def names_of(
     groups = {split_id(m.frame_id).pgn: m.name for m in database.messages if m.is_extended_frame}
     names = {}
     for message in messages:
-        key = message.can_id, message.extended
+        key, parts = (message.can_id, message.extended), split_id(message.can_id)
         if key in exact:
             names[key] = exact[key]
-        elif message.extended and split_id(message.can_id).pgn in groups:
-            name = groups[split_id(message.can_id).pgn]
-            names[key] = f"{name} of {message.can_id & 0xFF:02X}"
+        elif message.extended and parts.pgn in groups:
+            names[key] = f"{groups[parts.pgn]} of {parts.source:02X}"
     return names

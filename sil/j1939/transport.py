@@ -103,11 +103,8 @@ class Assembler:
 
     def finish(self) -> None:
         """Count what is still under way at the end of the log."""
-        for key, transfer in self._transfers.items():
-            if not transfer.complete:
-                late = self._now_ns - transfer.last_ns > transfer.timeout_ns
-                self._lose(key, "timeout" if late else "end of the log", transfer)
-        self._transfers.clear()
+        for key in list(self._transfers):
+            self._close(key, "end of the log")
 
     def lines(self) -> list[str]:
         """Return what was put together and what was lost as text, nothing if there was neither."""
@@ -170,12 +167,12 @@ class Assembler:
     def _lose(self, key: _Key, reason: str, transfer: _Transfer | None = None) -> None:
         self.lost[reason] += 1
         if len(self.locations) < 10:
+            from sil.logs.times import format_ns
+
             channel, source, destination = key
             what = f"PGN {transfer.pgn} of {transfer.size} bytes, " if transfer else ""
             sender = f"source {source:#04x} to {destination:#04x}"
             sender += f" on {channel}" if channel else ""
-            from sil.logs.times import format_ns
-
             self.locations.append(f"at {format_ns(self._now_ns)} s: {what}{sender}: {reason}")
 
 
@@ -188,12 +185,10 @@ def broadcast(pgn: int, source: int, data: bytes) -> list[Frame]:
         raise ValueError(f"{len(data)} bytes; expected {LEAST_BYTES} to {MOST_BYTES}")
     packets = [data[n : n + _PACKET_BYTES] for n in range(0, len(data), _PACKET_BYTES)]
     size, group = len(data).to_bytes(2, "little"), pgn.to_bytes(3, "little")
-    announcement = bytes((_BAM, *size, len(packets), 0xFF, *group))
-    packet_id = join_id(7, PGN_DATA, source)  # to all, at the lowest priority
-    return [
-        Frame(join_id(7, PGN_CONTROL, source), announcement),
-        *(
-            Frame(packet_id, bytes((number,)) + packet.ljust(_PACKET_BYTES, b"\xff"))
-            for number, packet in enumerate(packets, 1)
-        ),
+    frames = [
+        Frame(join_id(7, PGN_CONTROL, source), bytes((_BAM, *size, len(packets), 0xFF, *group)))
     ]
+    packet_id = join_id(7, PGN_DATA, source)  # to all, at the lowest priority
+    for number, packet in enumerate(packets, 1):
+        frames.append(Frame(packet_id, bytes((number, *packet.ljust(_PACKET_BYTES, b"\xff")))))
+    return frames

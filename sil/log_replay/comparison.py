@@ -26,6 +26,12 @@ class SignalCount:
     largest: float | None = None
     first_ns: int | None = None
 
+    def as_dict(self, base_ns: int) -> dict[str, Any]:
+        """Return plain JSON values; the time on the log's clock."""
+        first_s = None if self.first_ns is None else (self.first_ns + base_ns) / 1e9
+        counts = {"compared": self.compared, "differing": self.differing}
+        return counts | {"largest": self.largest, "first_s": first_s}
+
 
 class Difference(NamedTuple):
     """Where the two sides differ first, and the inputs that led there (texts, oldest first)."""
@@ -98,16 +104,16 @@ class Comparison:
         """When each side first reported each fault, in ns."""
         self.excerpts = ExcerptRecorder()
         self.warm_up_ticks = 0
-        self._warm_since: int | None = None
+        self.begin_warm_up()
         self._warming = warming
-        self._rested = False
         self._held: tuple[dict[type, tuple[Any, ...]], ...] = ({}, {})
         self._recent: dict[type, deque[tuple[int, tuple[Any, ...]]]] = {}
         self._waiting: deque[tuple[int, type, tuple[Any, ...]]] = deque()
 
     def begin_warm_up(self) -> None:
         """From here on compare only once the sides agree: the replay had to begin anew."""
-        self._warming, self._warm_since, self._rested = True, None, False
+        self._warm_since: int | None = None
+        self._warming, self._rested = True, False
 
     def take(self, time_ns: int, recorded: Side, replayed: Side) -> None:
         """Take what the sides sent at a time (of the log's clock, ns), data by message type.
@@ -123,20 +129,16 @@ class Comparison:
             self.ticks += 1
         differing: list[tuple[str, str, str]] = []
         if self._options.time_ns:
-            self._waiting.extend(
-                (time_ns, kind, message_values) for kind, message_values in ours.items()
-            )
+            self._waiting.extend((time_ns, kind, fields) for kind, fields in ours.items())
             differing = self._compare_waiting(time_ns - self._options.time_ns)
         else:
-            for kind, message_values in ours.items():
-                if kind in recorded and recorded[kind] == replayed.get(kind):
+            for kind, fields in ours.items():
+                if recorded[kind] == replayed.get(kind):
                     self._count(kind)
                 else:
-                    differing += self._compare(
-                        time_ns, kind, message_values, self._held[REPLAYED].get(kind)
-                    )
-        commands_part = self._part(time_ns, differing)
-        self._switch(time_ns, commands_part)
+                    theirs = self._held[REPLAYED].get(kind)
+                    differing += self._compare(time_ns, kind, fields, theirs)
+        self._switch(time_ns, self._part(time_ns, differing))
 
     def finish(self) -> None:
         """Compare what is still waiting: the log ends."""
@@ -164,8 +166,8 @@ class Comparison:
         theirs = self._held[REPLAYED]
         status = ControllerStatus in ours
         agree = all(
-            kind in theirs and not self._judge.differing(kind, message_values, theirs[kind])
-            for kind, message_values in ours.items()
+            kind in theirs and not self._judge.differing(kind, fields, theirs[kind])
+            for kind, fields in ours.items()
         )
         busy = [any(self._valve_on(side, chamber) for chamber in CHAMBERS) for side in (0, 1)]
         begun = busy[REPLAYED] or (busy[RECORDED] and self._rested)  # a shift from its beginning
@@ -207,18 +209,12 @@ class Comparison:
             recent = self._recent.get(kind, deque())
             while len(recent) > 1 and recent[1][0] <= time_ns - around_ns:
                 recent.popleft()
-            near = [
-                message_values for at_ns, message_values in recent if at_ns <= time_ns + around_ns
-            ]
-            best = min(
-                near,
-                key=lambda message_values: len(self._judge.differing(kind, ours, message_values)),
-                default=None,
-            )
-            if best is not None:  # each signal may have had its value at its own instant
-                best = tuple(
-                    next((f[i] for f in near if f[i] == ours[i]), best[i]) for i in range(len(ours))
-                )
+            near = [fields for at_ns, fields in recent if at_ns <= time_ns + around_ns]
+            best: tuple[Any, ...] | None = None
+            if near:  # each signal may have had its value at its own instant
+                best = min(near, key=lambda f: len(self._judge.differing(kind, ours, f)))
+                columns = zip(ours, best, zip(*near, strict=True), strict=True)
+                best = tuple(mine if mine in column else other for mine, other, column in columns)
             differing += self._compare(time_ns, kind, ours, best)
         return differing
 
@@ -246,22 +242,16 @@ class Comparison:
     def _switch(self, time_ns: int, commands_part: bool) -> None:
         """Bring lanes, states and scenes up to date."""
         changed = False
-        coils: list[tuple[bool, ...]] = []
-        names: list[str] = []
-        estimates: list[float | None] = []
+        row = Row(time_ns, [], [], [])
+        kinds = SafetyBlow, Etc1, ControllerStatus
         for side in (RECORDED, REPLAYED):
-            latest = self._held[side]
-            blow, etc1, status = (
-                latest.get(SafetyBlow),
-                latest.get(Etc1),
-                latest.get(ControllerStatus),
-            )
+            blow, etc1, status = map(self._held[side].get, kinds)
             on = (
                 *(self._valve_on(side, chamber) for chamber in CHAMBERS),
                 blow is not None and bool(blow[1]),
                 etc1 is not None and bool(etc1[2]),
             )
-            coils.append(on[:3])
+            row.coils.append(on[:3])
             for signal, is_on in zip(self.switches, on, strict=True):
                 changed |= signal.take(side, time_ns, is_on)
             if status is not None:
@@ -269,9 +259,9 @@ class Comparison:
                     history.take(side, time_ns, value.name)
                 for fault in status[3]:
                     changed |= self.reported_ns[side].setdefault(fault.name, time_ns) == time_ns
-            names.append("" if status is None else status[0].name)
-            estimates.append(None if status is None else status[2])
-        self.excerpts.take(Row(time_ns, coils, names, estimates), changed, commands_part)
+            row.states.append("" if status is None else status[0].name)
+            row.estimates_m.append(None if status is None else status[2])
+        self.excerpts.take(row, changed, commands_part)
 
     def matched_edges(self) -> list[MatchedEdges]:
         """Match the edges of all lanes."""

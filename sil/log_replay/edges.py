@@ -10,11 +10,9 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
-
-TIMES: Final = {1: "once", 2: "twice"}
+from typing import Any, NamedTuple
 
 
 class Edge(NamedTuple):
@@ -109,15 +107,11 @@ class MatchedEdges(NamedTuple):
     matching: Matching
     shift_ns: list[int]
 
-    def moved(self, time_ns: int) -> bool:
-        """Whether an edge is alone or moved by more than this."""
-        _, dropped, added = self.matching
-        return bool(dropped or added) or any(abs(s) > time_ns for s in self.shift_ns)
-
     def lines(self, period_ns: int, base_ns: int = 0) -> list[str]:
         """Say what moved, one line per direction and shift; nothing for what did not move."""
         signal, (pairs, dropped, added) = self.signal, self.matching
         totals = Counter(edge.up for edge in signal.recorded)
+        times = {1: "once", 2: "twice"}
         shifts = Counter(
             (signal.recorded[i].up, shift)
             for (i, _), shift in zip(pairs, self.shift_ns, strict=True)
@@ -125,7 +119,7 @@ class MatchedEdges(NamedTuple):
         )
         lines = [
             f"{signal.name} {signal.verb(up)} {shift_text(shift, period_ns)}, "
-            f"{TIMES.get(count, f'{count} times')} out of {totals[up]}"
+            f"{times.get(count, f'{count} times')} out of {totals[up]}"
             for (up, shift), count in sorted(shifts.items(), key=lambda item: (-item[1], item[0]))
         ]
         for what, side, alone in (
@@ -133,9 +127,9 @@ class MatchedEdges(NamedTuple):
             ("in the replay only", signal.replayed, added),
         ):
             for up in (True, False):
-                when = [(side[k].time_ns + base_ns) / 1e9 for k in alone if side[k].up is up]
+                when = [side[k].time_ns + base_ns for k in alone if side[k].up is up]
                 if when:
-                    times_s = ", ".join(f"{t:.6f}" for t in when[:5])
+                    times_s = ", ".join(f"{time_ns / 1e9:.6f}" for time_ns in when[:5])
                     more = f" and {len(when) - 5} more" if len(when) > 5 else ""
                     lines.append(f"{signal.name} {signal.verb(up)} {what}, at {times_s} s{more}")
         return lines
@@ -144,26 +138,22 @@ class MatchedEdges(NamedTuple):
         """All of it as plain JSON values; times on the log's clock."""
         signal, (pairs, dropped, added) = self.signal, self.matching
 
-        def alone(edges: Iterable[Edge]) -> list[dict[str, Any]]:
-            return [
-                {"edge": signal.verb(e.up), "time_s": (e.time_ns + base_ns) / 1e9} for e in edges
-            ]
+        def edge(side: Sequence[Edge], index: int, key: str = "time_s") -> dict[str, Any]:
+            time_ns, up = side[index]
+            return {"edge": signal.verb(up), key: (time_ns + base_ns) / 1e9}
 
         return {
             "name": signal.name,
             "recorded": len(signal.recorded),
             "replayed": len(signal.replayed),
             "matched": [
-                {
-                    "edge": signal.verb(signal.recorded[i].up),
-                    "recorded_s": (signal.recorded[i].time_ns + base_ns) / 1e9,
-                    "replayed_s": (signal.replayed[j].time_ns + base_ns) / 1e9,
-                    "shift_ms": shift / 1e6,
-                }
+                edge(signal.recorded, i, "recorded_s")
+                | edge(signal.replayed, j, "replayed_s")
+                | {"shift_ms": shift / 1e6}
                 for (i, j), shift in zip(pairs, self.shift_ns, strict=True)
             ],
-            "dropped": alone(signal.recorded[i] for i in dropped),
-            "added": alone(signal.replayed[j] for j in added),
+            "dropped": [edge(signal.recorded, i) for i in dropped],
+            "added": [edge(signal.replayed, j) for j in added],
         }
 
 

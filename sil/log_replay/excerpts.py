@@ -13,9 +13,9 @@ class Row(NamedTuple):
     """One tick: coils B, N, F energised, state and estimate (m), recorded and replayed."""
 
     time_ns: int
-    coils: Sequence[tuple[bool, ...]]
-    states: Sequence[str]
-    estimates_m: Sequence[float | None]
+    coils: list[tuple[bool, ...]]
+    states: list[str]
+    estimates_m: list[float | None]
 
 
 @dataclass

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from can_dbc.codec import can_id_of
@@ -24,6 +25,7 @@ from sil.log_replay.recorded_frames import (
     is_intact,
 )
 from sil.log_replay.signals import Options, SignalComparer, value_text, values
+from sil.log_replay.tick_grid import Grid
 
 if TYPE_CHECKING:
     from plant.node import PlantNode
@@ -55,17 +57,13 @@ class PlantSide:
         self,
         node: PlantNode,
         options: Options,
+        grid: Grid,
         *,
         closes: bool,
-        bitrate: int,
-        computation_ns: int,
         receives: Callable[[int], bool],
-        slack_ns: int,
     ) -> None:
         self._node, self._closes, self._receives = node, closes, receives
-        self._slack_ns, self._computation_ns = slack_ns, computation_ns
-        self._bus = BusModel(bitrate)
-        self._bit_ns = self._bus.bit_ns
+        self._grid, self._bus = grid, BusModel(grid.bitrate)
         self._next_ns = node.start()
         self._commands: deque[tuple[int, Frame]] = deque()
         self._others: deque[tuple[int, Frame, str]] = deque()
@@ -102,7 +100,7 @@ class PlantSide:
         if frame.can_id == ENGINE_REQUEST and self.closed_ns is None:
             self._commands.append((time_ns, frame))
         if len(frame.data) <= 8:
-            begun_ns = time_ns - frame_bits(frame.can_id, frame.data) * self._bit_ns
+            begun_ns = time_ns - frame_bits(frame.can_id, frame.data) * self._bus.bit_ns
             self._others.append((begun_ns, frame, "log"))
 
     # --- the control unit's ticks -------------------------------------------------------------------
@@ -123,7 +121,7 @@ class PlantSide:
         if not self._closes:
             return
         for frame in released:
-            self._bus.queue(now_ns + self._computation_ns, frame, "unit")
+            self._bus.queue(now_ns + self._grid.computation_ns, frame, "unit")
         if self.closed_ns is None and any(
             kind in recorded and replayed.get(kind) != recorded[kind] for kind in COMMANDS
         ):
@@ -149,12 +147,9 @@ class PlantSide:
     def _publish(self, now_ns: int) -> None:
         if self._closes:
             self._carry(now_ns)
-        deliveries: list[tuple[int, Frame]] = []
-        while self._commands and self._commands[0][0] <= now_ns:
-            deliveries.append(self._commands.popleft())
-        ours, self._for_plant = self._for_plant, []
-        if self.closed_ns is not None:
-            deliveries += ours
+        count = sum(1 for _ in takewhile(lambda command: command[0] <= now_ns, self._commands))
+        deliveries = [self._commands.popleft() for _ in range(count)] + self._for_plant
+        self._for_plant = []
         released, self._next_ns = self._node.advance(now_ns, deliveries)
         for release_ns, frame in released:
             kind = OWN_IDS[frame.can_id]
@@ -218,23 +213,22 @@ class PlantSide:
         It was released before the frame was sent, not too long ago, and is no other's partner:
         the one with the same data, else with the same counter, else the latest.
         """
-        sent_ns = time_ns - frame_bits(ID_OF[kind], data) * self._bit_ns + self._slack_ns
+        bits = frame_bits(ID_OF[kind], data)
+        sent_ns = time_ns - bits * self._bus.bit_ns + self._grid.slack_ns
         released = self._released[kind]
         while released and released[0][0] < time_ns - 60_000_000:
             released.popleft()
-        best, chosen = -1, None
-        for index, (release_ns, ours) in enumerate(released):
-            if release_ns > sent_ns:
-                break
-            likeness = 2 if ours == data else 0
-            if kind in PROTECTED and len(data) > 1 and ours[1] & 0x0F == data[1] & 0x0F:
-                likeness = max(likeness, 1)
-            if likeness >= best:
-                best, chosen = likeness, index
-        if chosen is None:
+
+        def likeness(index: int) -> tuple[bool, bool, int]:
+            ours = released[index][1]
+            return ours == data, kind in PROTECTED and (ours[1] ^ data[1]) & 0x0F == 0, index
+
+        possible = sum(1 for _ in takewhile(lambda release: release[0] <= sent_ns, released))
+        if not possible:
             return None
-        partner = released[chosen][1]
-        del released[chosen]
+        best = max(range(possible), key=likeness)
+        partner = released[best][1]
+        del released[best]
         return partner
 
     def _note_position(self, time_ns: int, data: bytes) -> None:

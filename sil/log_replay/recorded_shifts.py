@@ -35,7 +35,7 @@ from plant.parameters import ParameterSet
 from sil.coupling.clock import NS_PER_S
 from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
-from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, is_intact
+from sil.log_replay.recorded_frames import Arrival, RecordedFrames, is_intact
 from sil.logs import LogFrame, LogReader, open_log
 from sil.shifts.cutter import CommandedShifts
 
@@ -80,13 +80,16 @@ class RecordedShift:
 
 @dataclass
 class _Episode:
-    """Commands, pulses and speeds of a shift; ns."""
+    """Commands of a shift, and the frames of pulses and speeds; ns."""
 
     begin_ns: int
+    frames: dict[type, list[tuple[int, Frame]]]
     targets: list[tuple[int, Gear]] = field(default_factory=list)
     commands: list[tuple[int, int, float]] = field(default_factory=list)
-    pulses: list[tuple[int, Frame]] = field(default_factory=list)
-    speeds: list[tuple[int, Frame]] = field(default_factory=list)
+
+    def s(self, time_ns: int) -> float:
+        """Return a time as those of the recorded shift."""
+        return (time_ns - self.begin_ns + round(LEAD_S * NS_PER_S)) / NS_PER_S
 
 
 class ShiftReader:
@@ -108,8 +111,10 @@ class ShiftReader:
         self._duties: Duties = self._driver.duties
         self._cutter = CommandedShifts()
         self._episode: _Episode | None = None
-        self._pulses: deque[tuple[int, Frame]] = deque(maxlen=40)
-        self._speeds: deque[tuple[int, Frame]] = deque(maxlen=8)
+        self._recent: dict[type, deque[tuple[int, Frame]]] = {
+            PositionPulse: deque(maxlen=40),
+            DrivelineSpeeds: deque(maxlen=8),
+        }
         self._supply_pa = float("nan")
         self.skipped = self._cutter.skipped
         self.frames: Counter[type] = Counter()
@@ -126,23 +131,23 @@ class ShiftReader:
             for at_ns, duties in self._driver.advance(time_ns, received):
                 if (ended := self._command(at_ns, duties)) is not None:
                     return ended
-        elif kind is PositionPulse:
-            self._pulses.append((time_ns, frame))
+        elif kind in (PositionPulse, DrivelineSpeeds):
+            self._recent[kind].append((time_ns, frame))
             if self._episode is not None:
-                self._episode.pulses.append((time_ns, frame))
-        elif kind is DrivelineSpeeds:
-            self._speeds.append((time_ns, frame))
-            if self._episode is not None:
-                self._episode.speeds.append((time_ns, frame))
+                self._episode.frames[kind].append((time_ns, frame))
         elif kind is None and split_id(frame.can_id).pgn == AIR1_PGN:
-            self._note_supply(frame)
+            with suppress(CodecError):
+                message = decode(Frame(can_id_of(Air1), frame.data))
+                if isinstance(message, Air1) and message.supply_gauge_pa is not None:
+                    self._supply_pa = message.supply_gauge_pa + self._atmosphere_pa
         if kind is not None:
             self.frames[kind] += 1
         return self._closed(self._cutter.pass_time(time_ns))
 
     def finish(self) -> RecordedShift | None:
         """Return the shift that the end of the log completes."""
-        return self._closed(self._cutter.finish(self._pulses[-1][0])) if self._pulses else None
+        pulses = self._recent[PositionPulse]
+        return self._closed(self._cutter.finish(pulses[-1][0])) if pulses else None
 
     def _command(self, at_ns: int, duties: Duties) -> RecordedShift | None:
         """Take new duties; return the shift that a command out of its gear ends."""
@@ -150,7 +155,7 @@ class ShiftReader:
         energised = max(duties) >= self._duty_open
         ended = self._closed(self._cutter.command(at_ns, energised, self._is_in_gear))
         if self._episode is None and self._cutter.begin_ns is not None:
-            self._episode = _Episode(at_ns, pulses=list(self._pulses), speeds=list(self._speeds))
+            self._episode = _Episode(at_ns, {k: list(recent) for k, recent in self._recent.items()})
         if self._episode is not None:
             targets = self._episode.targets
             if energised and self._driver.target not in {target for _, target in targets[-1:]}:
@@ -164,19 +169,12 @@ class ShiftReader:
 
     def _is_in_gear(self) -> bool:
         """Whether the latest pulse is one of an engaged gear."""
-        message = decode(self._pulses[-1][1]) if self._pulses else None
+        pulses = self._recent[PositionPulse]
+        message = decode(pulses[-1][1]) if pulses else None
         if not isinstance(message, PositionPulse):
             return False
         position = self._sensor.position_m(message.pulse_s, message.coil_temperature_k)
         return self._gear(float(position)) in ("B", "F")
-
-    def _note_supply(self, frame: Frame) -> None:
-        try:
-            message = decode(Frame(can_id_of(Air1), frame.data))
-        except CodecError:
-            return
-        if isinstance(message, Air1) and message.supply_gauge_pa is not None:
-            self._supply_pa = message.supply_gauge_pa + self._atmosphere_pa
 
     def _closed(self, begin_ns: int | None) -> RecordedShift | None:
         """Return the shift that is over, if one is and it can be used."""
@@ -193,10 +191,9 @@ class ShiftReader:
 
     def _shift(self, episode: _Episode) -> RecordedShift | str:
         """Return the shift of an episode, or why there is none."""
-        origin_ns = episode.begin_ns - round(LEAD_S * NS_PER_S)
         readings = [
-            (time_ns - origin_ns, message.pulse_s, message.coil_temperature_k, message.sample_index)
-            for time_ns, frame in episode.pulses
+            (episode.s(time), message.pulse_s, message.coil_temperature_k, message.sample_index)
+            for time, frame in episode.frames[PositionPulse]
             if is_intact(PositionPulse, frame)
             and isinstance(message := decode(frame), PositionPulse)
         ]
@@ -206,7 +203,6 @@ class ShiftReader:
         index = np.concatenate([[0.0], np.cumsum(np.diff(number) % 256)])
         if index[-1] < 1.0:
             return "without numbered pulses"
-        arrived /= NS_PER_S
         config = SensorConfig()
         period = float(np.polyfit(index, arrived, 1)[0])
         if abs(period / config.period_s - 1.0) < 0.002:  # what a few late frames can do
@@ -218,63 +214,47 @@ class ShiftReader:
         warmth = 1.0 + self._sensor.temp_coeff_1_k * (kelvin - self._sensor.t_ref_k)
         position = (pulse / warmth - self._sensor.t_mid_s) / self._sensor.slope_s_m
         before = position[measured_s < LEAD_S]
-        gears = [self._gear(float(np.median(own))) for own in (before[-8:], position[-5:])]
-        if len(before) < 3 or gears[0] is None:
+        start, end = (self._gear(float(np.median(x))) for x in (before[-8:], position[-5:]))
+        if len(before) < 3 or start is None:
             return "that do not begin in a gear"
-        start, end = gears
-        assert start is not None
-        pushed = [c for at, c, duty in episode.commands if duty >= self._duty_open]
-        wanted = [gear for gear in ("BNF"[chamber] for chamber in pushed) if gear != start]
+        pushed = ["BNF"[c] for _, c, duty in episode.commands if duty >= self._duty_open]
+        wanted = [gear for gear in pushed if gear != start]
         moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > 3e-4)
         first = max(int(np.searchsorted(measured_s, 0.0)), 1)
         still = end == start and not (len(moving) and moving[-1] >= first)
-        lasted_s = (episode.commands[-1][0] - episode.begin_ns) / NS_PER_S
-        failed = (
-            end is None
-            or self._gave_up(episode, origin_ns, measured_s, position)
-            or (end == start and bool(wanted) and lasted_s > GIVEN_UP_S)
-        )
-        if still and not failed:
-            return "without motion"
-        if failed:
-            end = wanted[-1] if wanted else start
-            off_s = (episode.commands[-1][0] - origin_ns) / NS_PER_S
+        last_command_ns = episode.commands[-1][0]
+        lasted_s = (last_command_ns - episode.begin_ns) / NS_PER_S
+        gave_up = self._gave_up(episode, measured_s, position)
+        if end is None or gave_up or (end == start and wanted and lasted_s > GIVEN_UP_S):
+            failed, end = True, wanted[-1] if wanted else start
+            off_s = episode.s(last_command_ns)
             last = int(np.searchsorted(measured_s, off_s + 0.1))  # it may still move then
+        elif still:
+            return "without motion"
         else:
-            last = int(moving[-1]) + 7 if len(moving) else 0
-        last = min(max(last, first + 12), len(position), first + MOST_PULSES)
-        assert end is not None
-        used = slice(first, last)
-        difference = 0.0
-        if end != "N":
-            difference = self._difference(episode, origin_ns, measured_s[used], position[used])
+            failed, last = False, int(moving[-1]) + 7 if len(moving) else 0
+        used = slice(first, min(max(last, first + 12), len(position), first + MOST_PULSES))
         return RecordedShift(
             self._source,
             episode.begin_ns / NS_PER_S,
             start,
             end,
-            tuple(
-                ((at - origin_ns) / NS_PER_S, chamber, duty)
-                for at, chamber, duty in episode.commands
-            ),
+            tuple((episode.s(at_ns), chamber, duty) for at_ns, chamber, duty in episode.commands),
             measured_s[used],
             position[used],
-            difference,
+            0.0 if end == "N" else self._difference(episode, measured_s[used], position[used]),
             self._supply_pa,
             failed,
         )
 
-    def _gave_up(
-        self, episode: _Episode, origin_ns: int, time_s: Floats, position_m: Floats
-    ) -> bool:
+    def _gave_up(self, episode: _Episode, time_s: Floats, position_m: Floats) -> bool:
         """Return whether a gear was commanded for long and not reached before another one was."""
         ends_ns = [*(at for at, _ in episode.targets[1:]), episode.commands[-1][0]]
         for (at_ns, target), end_ns in zip(episode.targets, ends_ns, strict=False):
-            begin_s, end_s = ((at - origin_ns) / NS_PER_S for at in (at_ns, end_ns))
+            begin_s, end_s = episode.s(at_ns), episode.s(end_ns)
             during = position_m[(time_s > begin_s) & (time_s < end_s + 0.05)]
-            gears = {self._gear(float(x)) for x in during}
             late = target is not Gear.UNKNOWN and end_s - begin_s > GIVEN_UP_S
-            if late and target.name[0] not in gears:
+            if late and target.name[0] not in map(self._gear, during):
                 return True
         return False
 
@@ -284,15 +264,14 @@ class ShiftReader:
                 return name
         return None
 
-    def _difference(
-        self, episode: _Episode, origin_ns: int, time_s: Floats, position_m: Floats
-    ) -> float:
+    def _difference(self, episode: _Episode, time_s: Floats, position_m: Floats) -> float:
         """Return the speed difference at the last instant at which the stay was near neutral."""
         near = np.flatnonzero(np.abs(position_m) < 0.25 * self._stroke_m)
         if not len(near) or near[-1] == len(position_m) - 1:
             return 0.0
-        until_ns = origin_ns + round((time_s[near[-1]] + 0.002) * NS_PER_S)
-        for time_ns, frame in reversed(episode.speeds):
+        until_ns = episode.begin_ns + round((time_s[near[-1]] + 0.002) * NS_PER_S)
+        until_ns -= round(LEAD_S * NS_PER_S)
+        for time_ns, frame in reversed(episode.frames[DrivelineSpeeds]):
             if time_ns <= until_ns and is_intact(DrivelineSpeeds, frame):
                 message = decode(frame)
                 assert isinstance(message, DrivelineSpeeds)
@@ -315,11 +294,9 @@ def shifts_of(
     """
     reader = ShiftReader(path, parameters)
     log = open_log(path)
-    arrivals = (
-        iter(RecordedFrames(_of_one_bus(log), ids=OWN_IDS, path=path))
-        if mapping is None
-        else Translator(mapping).arrivals(log)
-    )
+    arrivals: Iterable[Arrival] = RecordedFrames(_of_one_bus(log), path=path)
+    if mapping is not None:
+        arrivals = Translator(mapping).arrivals(log)
     for arrival in arrivals:
         if (shift := reader.take(arrival)) is not None:
             yield shift
@@ -365,7 +342,7 @@ class Translator:
         Raises InputError if duties or pulses are not mapped.
         """
         for meaning in (*DUTIES, "pulse_s"):
-            if meaning not in {row.meaning for row in mapping.rows}:
+            if not mapping.messages_of(meaning):
                 raise InputError(
                     f"{mapping.path}: no signal for {meaning}; expected duty_b, duty_n, duty_f, "
                     "pulse_s, and where present coil_temperature_k, input_shaft_rad_s, "

@@ -23,9 +23,9 @@ from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings, shipped_firmware
 from sil.log_replay.plant_side import PlantSide
-from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, ids_of_database
+from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, ids_of_database
 from sil.log_replay.signals import Options
-from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
+from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, Survey, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
 
@@ -72,14 +72,12 @@ class ReplayResult:
     """How many settings were tried in vain where the log does not say which ones it has; else 0."""
 
     def _repr_html_(self) -> str:
-        comparison = self.comparison
         rows = [
-            ("ticks compared", comparison.ticks),
-            ("ticks that differ", comparison.differing_ticks),
+            ("ticks compared", self.comparison.ticks),
+            ("ticks that differ", self.comparison.differing_ticks),
+            *(("note", note) for note in self.notes),
         ]
-        return html_table(
-            f"{self.request.log}", ("", ""), [*rows, *(("note", n) for n in self.notes)]
-        )
+        return html_table(self.request.log, ("", ""), rows)
 
     @property
     def differs(self) -> bool:
@@ -117,8 +115,9 @@ def replay(request: ReplayRequest) -> ReplayResult:
 def _replay(request: ReplayRequest) -> ReplayResult:
     log = _Log(request)
     ready, grid = _timing(request, log)
-    config = ready.loaded.scenario.controller
-    frames = log.recorded_frames()
+    scene = ready.loaded.scenario
+    config = scene.controller
+    frames = log.frames()
     ticks = map_ticks(frames, grid)
     if not frames.kinds[ShiftRequest]:
         raise InputError(
@@ -132,19 +131,18 @@ def _replay(request: ReplayRequest) -> ReplayResult:
         )
     receives = _receiving(ready, grid, ticks, "controller")
     with ExitStack() as stack:
-        program = ready.loaded.scenario.firmware
-        start = partial(firmware_node, program) if program else ControllerNode
+        start = partial(firmware_node, scene.firmware) if scene.firmware else ControllerNode
         firmware = stack.enter_context(closing(Unit(partial(start, config))))
         reference = None
         if request.reference is not None:
             tree, name = request.reference
             make = partial(firmware_node, str(tree), config, name)
             reference = stack.enter_context(closing(Unit(make)))
-        plant = _plant(request, ready, grid, plant_receives=_receiving(ready, grid, ticks, "plant"))
+        plant = _plant(request, ready, grid, _receiving(ready, grid, ticks, "plant"))
         executor = ReplayExecutor(ticks, firmware, config.period_ns, receives, plant, reference)
         options = _options(request.options, grid, ticks)
         comparison = Comparison(options, config.duty_closed, executor.inputs, not grid.fresh)
-        frames = log.recorded_frames()
+        frames = log.frames()
         executor.run(frames, comparison)
     executor.account.other.update(frames.counts)
     if not comparison.engaged:
@@ -181,61 +179,53 @@ class _Log:
     """The log under replay: its head for the survey, and fresh readings of the whole."""
 
     def __init__(self, request: ReplayRequest) -> None:
-        self._request = request
+        self._path = request.log
         self.names: Mapping[int, str] = {}
         self._ids: Mapping[int, type] = OWN_IDS
         if request.dbc is not None:
             self._ids, self.names = ids_of_database(request.dbc)
         self.reader = request.reader or open_logs([request.log])
         self.channel: str | None = None
-        self.channels: Counter[str] = Counter()
         self.skew = (0, 0.0)
         """Time in ns from which the recorder's clock drifts from the control unit's, and the share."""
         self._beginning = self._read_beginning()
 
-    def head(self) -> list[Arrival]:
-        """Return the first frames, for the survey."""
-        return list(self._recorded(self._beginning))
+    def survey(self, bitrate: int | None = None, period_ns: int | None = None) -> Survey:
+        """Look at the first frames."""
+        return survey(list(self.frames(self._beginning)), bitrate, period_ns)
 
-    def recorded_frames(self) -> RecordedFrames:
-        """Return the frames of a new reading."""
-        return self._recorded(self.reader)
-
-    def _recorded(self, frames: Iterable[LogFrame]) -> RecordedFrames:
-        path = self._request.log
-        return RecordedFrames(
-            frames, channel=self.channel, ids=self._ids, path=path, skew=self.skew
-        )
+    def frames(self, entries: Iterable[LogFrame] | None = None) -> RecordedFrames:
+        """Return the frames of these entries, or of a new reading of the whole log."""
+        log = self.reader if entries is None else entries
+        return RecordedFrames(log, self.channel, self._ids, self._path, self.skew)
 
     def _read_beginning(self) -> list[LogFrame]:
         """Read on to the first valve command, and some more; choose the channel."""
         valves = {can_id for can_id, kind in self._ids.items() if kind is ValveCommand}
         before: deque[LogFrame] = deque(maxlen=500)  # frames that the survey sees, too
-        frames: list[LogFrame] = []
-        entries = iter(self.reader)
-        first: LogFrame | None = None
+        entries, first = iter(self.reader), None
         for entry in entries:
             first = first or entry
             before.append(entry)
             if entry.extended and entry.can_id in valves and not entry.remote and not entry.error:
-                frames = [*before, *islice(entries, HEAD_FRAMES)]
                 break
-        if not frames:
+        else:
             raise InputError(
-                f"{self._request.log}: no ValveCommand in it, so there is nothing to compare with; "
+                f"{self._path}: no ValveCommand in it, so there is nothing to compare with; "
                 "expected a log of the control unit's bus, or --summary for any other truck's"
             )
-        if first is not None and first is not frames[0]:
+        frames = [*before, *islice(entries, HEAD_FRAMES)]
+        if first is not frames[0]:
             frames.insert(0, first)
-        self.channels = Counter(f.channel for f in frames if f.extended and f.can_id in valves)
         if len({frame.channel for frame in frames}) > 1:
-            self.channel = self.channels.most_common(1)[0][0]
+            channels = Counter(f.channel for f in frames if f.extended and f.can_id in valves)
+            self.channel = channels.most_common(1)[0][0]
         return sorted(frames, key=lambda frame: frame.time_ns)
 
 
 def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
     """Return the settings, and the ticks of the recorded control unit. Raises InputError without any."""
-    log_head = survey(log.head())
+    log_head = log.survey()
     ready = find_settings(
         request.log,
         log_head,
@@ -247,11 +237,11 @@ def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
     scene = ready.loaded.scenario
     if log_head.skew and not ready.own_run:
         log.skew = (log_head.first_ns, log_head.skew)
-        log_head = survey(log.head())
+        log_head = log.survey()
     if ready.free_running:
-        log_head = survey(log.head(), period_ns=ready.recorded_ns)
+        log_head = log.survey(period_ns=ready.recorded_ns)
     elif log_head.bitrate is None and ready.own_run:
-        log_head = survey(log.head(), scene.bus.bitrate)
+        log_head = log.survey(scene.bus.bitrate)
     period_ns = log_head.period_ns or ready.recorded_ns
     if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
         period_ns = ready.recorded_ns
@@ -260,8 +250,8 @@ def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
             f"{request.log}: the steps of the recorded control unit cannot be found; expected its valve commands "
             "and status at regular times"
         )
-    grid = make_grid(log_head, period_ns, scene.controller.computation_ns, ready.free_running)
-    return ready, grid
+    computation_ns = scene.controller.computation_ns
+    return ready, make_grid(log_head, period_ns, computation_ns, ready.free_running)
 
 
 def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:
@@ -289,7 +279,7 @@ def _receiving(
 
 
 def _plant(
-    request: ReplayRequest, ready: ReplaySettings, grid: Grid, plant_receives: Callable[[int], bool]
+    request: ReplayRequest, ready: ReplaySettings, grid: Grid, receives: Callable[[int], bool]
 ) -> PlantSide | None:
     if not (request.plant or request.closed_loop):
         return None
@@ -301,17 +291,15 @@ def _plant(
     return PlantSide(
         PlantNode(plant_config(scene), ready.loaded.parameters),
         request.options,
+        grid,
         closes=request.closed_loop,
-        bitrate=grid.bitrate,
-        computation_ns=scene.controller.computation_ns,
-        receives=plant_receives,
-        slack_ns=grid.slack_ns,
+        receives=receives,
     )
 
 
 def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str]:
     """Return what a reader must know of this log."""
-    grid, ticks = outcome.grid, outcome.ticks
+    grid, ticks, comparison = outcome.grid, outcome.ticks, outcome.comparison
     notes = []
 
     def when(tick: int) -> str:
@@ -326,21 +314,20 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
     if outcome.plant is not None and (not grid.fresh or not outcome.settings.own_run):
         state = f"at rest, vented and in {outcome.settings.loaded.scenario.initial_gear}"
         notes.append(f"the plant starts {state}: the log holds no other state")
-    last_ns = frames.last_ns or 0
-    if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
+    if (frames.last_ns or 0) - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
         last = f"the control unit's last frame is at {when(ticks.last)}"
         notes.append(f"{last}; later frames are not compared")
     if outcome.unanswered:
         missing = ", ".join(f"{n} {name}" for name, n in sorted(outcome.unanswered.items()))
         notes.append(f"replayed but not in the recording, not compared: {missing}")
-    if outcome.comparison.warm_up_ticks:
+    if comparison.warm_up_ticks:
         notes.append(
-            f"{counted(outcome.comparison.warm_up_ticks, 'tick')} left out at the beginning, until the control unit "
+            f"{counted(comparison.warm_up_ticks, 'tick')} left out at the beginning, until the control unit "
             f"that starts now agreed with the one that was at work, its position to {FORGOTTEN_M:g} m"
         )
-    for kind, count in outcome.comparison.damaged.items():
+    for kind, count in comparison.damaged.items():
         notes.append(f"{count} {kind.__name__} with values outside the contract, not compared")
-    if len(log.channels) > 1 or log.channel is not None:
+    if log.channel is not None:
         notes.append(f"channel {log.channel or '(unnamed)'}")
     if log.skew[1]:
         notes.append(
@@ -348,9 +335,8 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
             "are by the control unit's, from the log's first frame on"
         )
     if frames.reordered:
-        notes.append(
-            f"{counted(frames.reordered, 'frame')} out of order, taken as of the latest time before"
-        )
+        late = counted(frames.reordered, "frame")
+        notes.append(f"{late} out of order, taken as of the latest time before")
     if left_out := outcome.read.lockstep_line():
         notes.append(f"log: {left_out}")
     if not outcome.read.clean:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from sil.j1939.summary import J1939Summary
 from sil.log_replay import figures
 from sil.log_replay.comparison import Difference, StateHistory
 from sil.log_replay.edges import shift_text
-from sil.log_replay.excerpts import Excerpt, waveforms
+from sil.log_replay.excerpts import waveforms
 from sil.log_replay.replay import ReplayResult
 from sil.log_replay.truck_replay import (
     ComparedShift,
@@ -29,7 +29,7 @@ from sil.log_replay.truck_replay import (
     truck_verdict,
 )
 from sil.log_replay.truck_shift import NAMES
-from sil.report.figure import Figure, Panel
+from sil.report.figure import Panel
 from sil.report.picture import save
 from sil.report.plots import PlotGroup, plots
 from sil.report.run_figure import with_faults
@@ -56,8 +56,8 @@ def report(outcome: ReplayResult | TruckReplay) -> Report:
     """
     if isinstance(outcome, TruckReplay):
         values = truck_dict(outcome)
-        page: Callable[[str, Path], str] = partial(truck_page, outcome, values)
-        return Report(truck_lines(outcome), truck_text(outcome), values, page)
+        truck = partial(truck_page, outcome, values)
+        return Report(truck_lines(outcome), truck_text(outcome), values, truck)
     values = as_dict(outcome)
     page = partial(replay_page, outcome, values)
     return Report(summary_lines(outcome), text(outcome), values, page)
@@ -88,26 +88,28 @@ def verdict(outcome: ReplayResult) -> str:
 def attribution(outcome: ReplayResult) -> str:
     """Say which side differs from the recording."""
     assert outcome.plant is not None
-    unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
     by_default = " (as set by default: --run gives the run's own settings)"
     source = "" if outcome.settings.own_run else by_default
-    if plant and unit:
-        return f"both the control unit and the plant{source} differ from the recording"
-    if plant:
-        return (
-            f"the control unit answers as recorded, the plant{source} does not: "
-            "the difference is the plant's"
-        )
-    if unit:
-        return "the plant answers as recorded, the control unit does not: the difference is the control unit's"
-    return "the plant answers as recorded, too"
+    unit, plant = "the control unit", f"the plant{source}"
+    return {
+        (True, True): f"both {unit} and {plant} differ from the recording",
+        (
+            False,
+            True,
+        ): f"{unit} answers as recorded, {plant} does not: the difference is the plant's",
+        (
+            True,
+            False,
+        ): f"the plant answers as recorded, {unit} does not: the difference is {unit}'s",
+        (False, False): "the plant answers as recorded, too",
+    }[outcome.comparison.differs, outcome.plant.differing > 0]
 
 
 def edge_lines(outcome: ReplayResult) -> list[str]:
     """Say which edges moved, are gone or new."""
-    grid = outcome.grid
-    moved = [r for r in outcome.comparison.matched_edges() if r.moved(0)]
-    return [line for r in moved for line in r.lines(grid.period_ns, grid.origin_ns)]
+    period_ns, origin_ns = outcome.grid.period_ns, outcome.grid.origin_ns
+    edges = outcome.comparison.matched_edges()
+    return [line for matched in edges for line in matched.lines(period_ns, origin_ns)]
 
 
 def summary_lines(outcome: ReplayResult) -> list[str]:
@@ -130,7 +132,6 @@ def summary_lines(outcome: ReplayResult) -> list[str]:
 def text(outcome: ReplayResult) -> str:
     """Return diff.txt."""
     grid, comparison = outcome.grid, outcome.comparison
-    edges = edge_lines(outcome)
     total = sum(len(signal.recorded) for signal in comparison.switches)
     lines = [
         f"replay of {outcome.request.log}",
@@ -139,7 +140,7 @@ def text(outcome: ReplayResult) -> str:
         f"verdict   {verdict(outcome)}",
         "",
         "edges",
-        *_indented(edges or [f"none of {total} moved"]),
+        *_indented(edge_lines(outcome) or [f"none of {total} moved"]),
         "",
         "states",
     ]
@@ -154,8 +155,8 @@ def text(outcome: ReplayResult) -> str:
     for scene in comparison.excerpts.excerpts:
         lines.append(f"waveforms, commands {'differ' if scene.differs else 'are equal'}")
         lines += _indented(waveforms(scene, outcome.labels, grid.origin_ns))
-    lines += ["signals", *_indented(_signal_lines(outcome)), "", "frames"]
-    lines += _indented([_account_line(outcome), *account_lines(outcome)])
+    lines += ["signals", *_indented(_signal_lines(outcome)), ""]
+    lines += ["frames", *_indented([_account_line(outcome), *account_lines(outcome)])]
     if outcome.notes:
         lines += ["", "notes", *_indented(outcome.notes)]
     return "\n".join(lines) + "\n"
@@ -167,9 +168,8 @@ def _indented(lines: Iterable[str], width: int = 2) -> list[str]:
 
 def as_dict(outcome: ReplayResult) -> dict[str, Any]:
     """Return diff.json; times in s on the log's clock."""
-    grid, comparison = outcome.grid, outcome.comparison
+    grid, comparison, account = outcome.grid, outcome.comparison, outcome.account
     base_ns = grid.origin_ns
-    account = outcome.account
     return {
         "format": 1,
         "log": outcome.request.log,
@@ -196,17 +196,10 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
         "first": _difference_dict(comparison.first, base_ns),
         "first_command": _difference_dict(comparison.first_command, base_ns),
         "signals": {
-            name: {
-                "compared": entry.compared,
-                "differing": entry.differing,
-                "largest": entry.largest,
-                "first_s": None if entry.first_ns is None else (entry.first_ns + base_ns) / 1e9,
-            }
-            for name, entry in sorted(comparison.signals.items())
+            name: entry.as_dict(base_ns) for name, entry in sorted(comparison.signals.items())
         },
-        "plant": None
-        if outcome.plant is None
-        else outcome.plant.as_dict(base_ns)
+        "plant": outcome.plant
+        and outcome.plant.as_dict(base_ns)
         | {"attribution": attribution(outcome) if outcome.request.plant else None},
         "frames": {
             "total": outcome.frames,
@@ -220,8 +213,7 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
     }
 
 
-def _when(outcome: ReplayResult, time_ns: int | None) -> str:
-    assert time_ns is not None
+def _when(outcome: ReplayResult, time_ns: int) -> str:
     return f"{(time_ns + outcome.grid.origin_ns) / 1e9:.6f} s"
 
 
@@ -229,38 +221,42 @@ def _difference_lines(outcome: ReplayResult, title: str, parting: Difference | N
     if parting is None:
         return [f"{title}: none", ""]
     a, b = outcome.labels
-    lines = [f"{title} at {_when(outcome, parting.time_ns)}"]
-    lines += [f"  {name}: {a} {x}, {b} {y}" for name, x, y in parting.signals]
-    lines += ["  inputs that led there", *(f"    {line}" for line in parting.inputs), ""]
-    return lines
+    return [
+        f"{title} at {_when(outcome, parting.time_ns)}",
+        *(f"  {name}: {a} {x}, {b} {y}" for name, x, y in parting.signals),
+        "  inputs that led there",
+        *(f"    {line}" for line in parting.inputs),
+        "",
+    ]
 
 
 def _sequences(history: StateHistory, labels: tuple[str, str]) -> str:
     recorded, replayed = history.sequence(0), history.sequence(1)
     if recorded == replayed:
         return f"{history.name}: the same {len(recorded)} in both: {_row(recorded)}"
-    both = zip(recorded, replayed, strict=False)
-    same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], both))
+    pairs = zip(recorded, replayed, strict=False)
+    same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
     start = max(same - 2, 0)
     rows = f"{labels[0]} {_row(recorded[start:])}; {labels[1]} {_row(replayed[start:])}"
     return f"{history.name}: the same {same}, then {rows}"
 
 
 def _row(names: list[str]) -> str:
-    shown = " ".join(names[:MOST_STATES_SHOWN]) or "nothing"
     more = len(names) - MOST_STATES_SHOWN
-    return shown + (f" ... and {more} more" if more > 0 else "")
+    shown = " ".join(names[:MOST_STATES_SHOWN]) or "nothing"
+    return f"{shown} ... and {more} more" if more > 0 else shown
 
 
 def _state_times(history: StateHistory, outcome: ReplayResult) -> list[str]:
     """Return the states that begin at another time, of sequences that are the same."""
     if history.differs:
         return []
-    lines = []
-    for (recorded_ns, name), (replayed_ns, _) in zip(*history.sides, strict=True):
-        if recorded_ns != replayed_ns:
-            shift = shift_text(replayed_ns - recorded_ns, outcome.grid.period_ns)
-            lines.append(f"{name} of {_when(outcome, recorded_ns)} begins {shift}")
+    period_ns = outcome.grid.period_ns
+    lines = [
+        f"{name} of {_when(outcome, recorded)} begins {shift_text(replayed - recorded, period_ns)}"
+        for (recorded, name), (replayed, _) in zip(*history.sides, strict=True)
+        if recorded != replayed
+    ]
     return lines[:MOST_STATES_SHOWN]
 
 
@@ -273,31 +269,29 @@ def plant_lines(outcome: ReplayResult) -> list[str]:
         share = f"{plant.differing} of {plant.compared}"
         lines.append(f"plant alone on the recorded commands: {share} frames differ")
         if plant.unmatched:
-            lines.append(
-                f"{counted(plant.unmatched, 'recorded frame')} of the plant without a counterpart"
-            )
+            count = counted(plant.unmatched, "recorded frame")
+            lines.append(f"{count} of the plant without a counterpart")
         lines += [f"{name}: at most {x:.6g} apart" for name, x in sorted(plant.largest.items())]
         if plant.first is not None:
             when, (name, a, b) = _when(outcome, plant.first.time_ns), plant.first.signals[0]
             lines.append(f"first at {when}: {name} recorded {a}, replayed {b}")
         lines.append(attribution(outcome))
-    if outcome.request.closed_loop and plant.closed_ns is None:
-        lines.append("no command differs, so the loop stayed open")
-    elif plant.closed_ns is not None:
+    if plant.closed_ns is not None:
         when = _when(outcome, plant.closed_ns)
         lines.append(f"loop closed at {when}: from there the plant answers")
+    elif outcome.request.closed_loop:
+        lines.append("no command differs, so the loop stayed open")
     return lines
 
 
 def _signal_lines(outcome: ReplayResult) -> list[str]:
-    lines = []
-    for name, entry in sorted(outcome.comparison.signals.items()):
-        if entry.differing:
+    lines, signals = [], outcome.comparison.signals
+    for name, entry in sorted(signals.items()):
+        if entry.first_ns is not None:
             size = "" if entry.largest is None else f", at most {entry.largest:.6g} apart"
             share, when = f"{entry.differing} of {entry.compared}", _when(outcome, entry.first_ns)
             lines.append(f"{name}: {share} differ{size}, first at {when}")
-    equal = sum(1 for entry in outcome.comparison.signals.values() if not entry.differing)
-    return [*lines, f"{counted(equal, 'signal')} without a difference"]
+    return [*lines, f"{counted(len(signals) - len(lines), 'signal')} without a difference"]
 
 
 def _account_line(outcome: ReplayResult) -> str:
@@ -312,25 +306,27 @@ def _account_line(outcome: ReplayResult) -> str:
         parts.append(f"{account.unheard.total()} inputs while off the bus")
     if account.other:
         parts.append(f"{account.other.total()} others")
-    return (
-        f"{account.total} of {counted(outcome.frames, 'frame')} accounted for: {', '.join(parts)}"
-    )
+    total = f"{account.total} of {counted(outcome.frames, 'frame')}"
+    return f"{total} accounted for: {', '.join(parts)}"
 
 
 def account_lines(outcome: ReplayResult) -> list[str]:
     """Return how many frames of each message were read, by what they were used for."""
     account = outcome.account
-    parts = (
-        ("inputs", sorted(account.inputs.items())),
-        ("inputs not heard", sorted(account.unheard.items())),
-        ("answers", sorted(account.answers.items())),
-        ("plant", sorted(account.plant.items())),
-        ("others", sorted(account.other.items())),
+    parts = {
+        "inputs": account.inputs,
+        "inputs not heard": account.unheard,
+        "answers": account.answers,
+        "plant": account.plant,
+        "others": account.other,
+    }
+    rows = [
+        *((title, sorted(c.items())) for title, c in parts.items()),
         ("foreign", outcome.foreign),
-    )
+    ]
     return [
         f"{title}: {', '.join(f'{count} {name}' for name, count in counts)}"
-        for title, counts in parts
+        for title, counts in rows
         if counts
     ]
 
@@ -351,10 +347,13 @@ def _difference_dict(parting: Difference | None, base_ns: int) -> dict[str, Any]
 def replay_page(outcome: ReplayResult, values: dict[str, Any], command: str, folder: Path) -> str:
     """Return the page, its figures written into the folder; `command` is the call that made it."""
     states = [
-        {"name": history.name, "side": outcome.labels[side], "row": " ".join(row) or "nothing"}
+        {
+            "name": history.name,
+            "side": label,
+            "row": " ".join(history.sequence(side)[:MOST_STATES_SHOWN]) or "nothing",
+        }
         for history in outcome.comparison.states
-        for side in (0, 1)
-        for row in (history.sequence(side)[:MOST_STATES_SHOWN],)
+        for side, label in enumerate(outcome.labels)
     ]
     head = Head(
         command="replay",
@@ -395,27 +394,23 @@ def _tiles(outcome: ReplayResult) -> list[tuple[str, str]]:
 
 def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[PlotGroup]]:
     """Return the pictures, each written into the folder, and the plots of the same figures."""
-    scenes = outcome.comparison.excerpts.excerpts
+    scenes, base_ns = outcome.comparison.excerpts.excerpts, outcome.grid.origin_ns
     positions = outcome.plant.positions if outcome.plant is not None else []
-
     marks = _fault_marks(outcome)
-
-    def drawn(part: Sequence[Excerpt]) -> Figure:
-        base_ns = outcome.grid.origin_ns
-        return figures.excerpts_figure(part, outcome.labels, base_ns, positions, marks)
-
     a, b = outcome.labels
-    alt = "Position, coils and states of both sides over time"
-    caption = (
-        f"The controller's estimate, the coils energised (pale: {a}, full: {b}) and the states."
+    draw = partial(
+        figures.excerpts_figure, labels=(a, b), base_ns=base_ns, positions=positions, marks=marks
     )
+    alt = "Position, coils and states of both sides over time"
+    coils = f"the coils energised (pale: {a}, full: {b})"
+    caption = f"The controller's estimate, {coils} and the states."
     pictures = [
-        Picture(save(drawn([scene]), folder, f"scene_{number}"), alt, caption)
+        Picture(save(draw([scene]), folder, f"scene_{number}"), alt, caption)
         for number, scene in enumerate(scenes, start=1)
     ]
-    groups = plots(drawn(scenes)) if scenes else []
+    groups = plots(draw(scenes)) if scenes else []
     if any(np.isfinite(p.recorded_m) for p in positions):
-        figure = figures.positions_figure(positions, outcome.grid.origin_ns, marks)
+        figure = figures.positions_figure(positions, base_ns, marks)
         alt = "Recorded and replayed position over time"
         caption = "The plant's position as recorded and as replayed."
         pictures.append(Picture(save(figure, folder, "positions"), alt, caption))
@@ -426,36 +421,32 @@ def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[
 def _fault_marks(outcome: ReplayResult) -> Callable[[Panel], Panel]:
     """Return what marks the faults of the run in a panel, and when each side first reported one."""
     ready, base_s = outcome.settings, outcome.grid.origin_ns / 1e9
-    faults = fault_spans(ready.loaded.scenario) if ready.own_run else []
+    scene = ready.loaded.scenario
     recorded, replayed = outcome.comparison.reported_ns
-    reported = [(at_ns, name) for name, at_ns in recorded.items() if replayed.get(name) == at_ns]
+    both = dict(recorded.items() & replayed.items())
+    reported = [(name, at_ns) for name, at_ns in recorded.items() if name in both]
     for label, side in zip(outcome.labels, (recorded, replayed), strict=True):
-        reported += [
-            (at_ns, f"{label}: {name}")
-            for name, at_ns in side.items()
-            if (at_ns, name) not in reported
-        ]
-    marks = [(base_s + at_ns / 1e9, name) for at_ns, name in reported]
+        reported += [(f"{label}: {name}", at) for name, at in side.items() if name not in both]
     begin_s = base_s if ready.free_running else 0.0
     return partial(
-        with_faults, faults=faults, reported=marks, end_s=begin_s + ready.loaded.scenario.duration_s,
+        with_faults,
+        faults=fault_spans(scene) if ready.own_run else [],
+        reported=[(base_s + at_ns / 1e9, name) for name, at_ns in reported],
+        end_s=begin_s + scene.duration_s,
         begin_s=begin_s,
-    )  # fmt: skip
+    )
 
 
 def truck_lines(replay: TruckReplay) -> list[str]:
     """Return what the command prints: each shift in a line, then the statistics."""
-    log = replay.log
-    lines = [
-        f"{log.path}: {counted(len(replay.shifts), 'shift')} in {counted(log.frames, 'frame')} of a truck's log"
-    ]
+    shifts, frames = counted(len(replay.shifts), "shift"), counted(replay.log.frames, "frame")
+    lines = [f"{replay.log.path}: {shifts} in {frames} of a truck's log"]
     lines += [f"  {shift.title}: {truck_verdict(shift)[0]}" for shift in replay.shifts]
     for column, variant in enumerate(replay.variants):
         less, same, more = quicker(replay, column)
         name = f"{variant.name} ({variant.changes})" if variant.changes else variant.name
-        lines.append(
-            f"{name}: quicker in {counted(less, 'shift')}, as quick in {same}, slower in {more}"
-        )
+        shifts = counted(less, "shift")
+        lines.append(f"{name}: quicker in {shifts}, as quick in {same}, slower in {more}")
     for row in statistics(replay):
         cells = [
             f"{name} {cell['median']:.3f} ({cell['p95']:.3f})"
@@ -474,35 +465,31 @@ def truck_text(replay: TruckReplay) -> str:
         lines += ["", shift.title, f"  {shift.recorded.shift}"]
         lines += [f"  {line}" for line in truck_verdict(shift)]
         lines += [f"  note: {note}" for note in shift.recorded.notes]
-        lines += [
-            f"  {entry.source}: {entry.path} = "
-            f"{entry.value if isinstance(entry.value, str) else format(entry.value, '.6g')} ({entry.text})"
-            for entry in shift.inputs
-        ]
+        for path, value, source, reason in shift.inputs:
+            number = value if isinstance(value, str) else f"{value:.6g}"
+            lines.append(f"  {source}: {path} = {number} ({reason})")
     return "\n".join(lines) + "\n"
 
 
 def truck_dict(replay: TruckReplay) -> dict[str, Any]:
     """Return diff.json; times of a shift in s after its request."""
     log = replay.log
-    values: dict[str, Any] = finite(
-        {
-            "format": 1,
-            "log": log.path,
-            "kind": "truck",
-            "frames": log.frames,
-            "map": log.mapping.path,
-            "dbc": log.mapping.dbc,
-            "columns": replay.columns,
-            "changes": [variant.changes for variant in replay.variants],
-            "quicker_same_slower": [quicker(replay, k) for k in range(len(replay.variants))],
-            "failed": [shift.number for shift in replay.failed],
-            "statistics": statistics(replay),
-            "shifts": [_shift_dict(shift) for shift in replay.shifts],
-            "notes": replay.notes,
-        }
-    )
-    return values
+    values = {
+        "format": 1,
+        "log": log.path,
+        "kind": "truck",
+        "frames": log.frames,
+        "map": log.mapping.path,
+        "dbc": log.mapping.dbc,
+        "columns": replay.columns,
+        "changes": [variant.changes for variant in replay.variants],
+        "quicker_same_slower": [quicker(replay, k) for k in range(len(replay.variants))],
+        "failed": [shift.number for shift in replay.failed],
+        "statistics": statistics(replay),
+        "shifts": [_shift_dict(shift) for shift in replay.shifts],
+        "notes": replay.notes,
+    }
+    return cast("dict[str, Any]", finite(values))
 
 
 def _shift_dict(shift: ComparedShift) -> dict[str, Any]:
@@ -533,16 +520,11 @@ def _shift_dict(shift: ComparedShift) -> dict[str, Any]:
 
 
 def truck_page(
-    replay: TruckReplay,
-    values: dict[str, Any],
-    command: str,
-    folder: Path,
-    max_pictures: int = 40,
-    max_plots: int = 12,
+    replay: TruckReplay, values: dict[str, Any], command: str, folder: Path, max_pictures: int = 40
 ) -> str:
     """Return the page of a truck's shifts, its pictures written into the folder.
 
-    Pictures beyond `max_pictures` are files in the folder only; `max_plots` shifts can be zoomed.
+    Pictures beyond `max_pictures` are files in the folder only; 12 shifts can be zoomed.
     """
     alt = "Time from request to new gear of each shift, recorded and ours"
     caption = "Request to new gear of each shift. Shaded: not in the statistics."
@@ -554,11 +536,10 @@ def truck_page(
         for count, shift in enumerate(replay.shifts, start=1):
             figure = figures.shift_figure(replay, shift)
             png = save(figure, folder, f"shift_{shift.number}")
-            if len(groups) < max_plots:
+            if len(groups) < 12:
                 groups += plots(figure)
-            if count <= max_pictures:
-                alt = f"Shift {shift.title}: recorded and ours on one time axis"
-                pictures.append(Picture(png, alt, caption))
+            alt = f"Shift {shift.title}: recorded and ours on one time axis"
+            pictures.append(Picture(png, alt, caption))
             progress(count, len(replay.shifts))
     less, same, more = quicker(replay, 0)
     head = Head(
@@ -582,8 +563,8 @@ def truck_page(
         diff=values,
         names=NAMES,
         overview=overview,
-        pictures=pictures,
-        hidden=max(0, len(replay.shifts) - max_pictures),
+        pictures=pictures[:max_pictures],
+        hidden=len(pictures[max_pictures:]),
     )
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import fnmatch
 from dataclasses import fields
 from enum import IntEnum, IntFlag
-from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -22,8 +22,6 @@ NAMES: Final[dict[type, tuple[str, ...]]] = {
     kind: tuple(f"{kind.__name__}.{field.name}" for field in fields(kind)) for kind in KINDS
 }
 """Names of the signals of a message, in the order of `values`."""
-
-ALL_NAMES: Final = tuple(name for names in NAMES.values() for name in names)
 
 
 class Edges(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -63,14 +61,12 @@ def load_options(path: str | Path) -> Options:
     Checked by: tests/unit/sil/log_replay/test_signals.py
     """
     options = typed_toml.convert(typed_toml.read_toml(path), Options, str(path))
-    for key, names in (("ignore", options.ignore), ("tolerance", options.tolerance)):
-        for name in names:
-            patterns = key == "ignore"
-            if not (
-                name in ALL_NAMES or (patterns and any(fnmatchcase(n, name) for n in ALL_NAMES))
-            ):
+    names = [name for of_kind in NAMES.values() for name in of_kind]
+    for key, patterns in (("ignore", options.ignore), ("tolerance", options.tolerance)):
+        for name in patterns:
+            if not (fnmatch.filter(names, name) if key == "ignore" else name in names):
                 shown = typed_toml.one_line(name, 60)
-                raise InputError(f"{path}: {key}: {shown}: {unknown_name(name, ALL_NAMES)}")
+                raise InputError(f"{path}: {key}: {shown}: {unknown_name(name, names)}")
     return options
 
 
@@ -82,7 +78,7 @@ class SignalComparer:
             kind: tuple(
                 (index, name, options.tolerance.get(name, 0.0))
                 for index, name in enumerate(names)
-                if not any(fnmatchcase(name, pattern) for pattern in options.ignore)
+                if not any(fnmatch.fnmatchcase(name, pattern) for pattern in options.ignore)
             )
             for kind, names in NAMES.items()
         }
@@ -108,6 +104,11 @@ def same(ours: Any, theirs: Any, tolerance: float) -> bool:
     return abs(ours - theirs) <= tolerance * (1.0 + 1e-9)
 
 
+def values(kind: type, data: bytes) -> tuple[Any, ...] | None:
+    """Return the values of a message in SI units; None when they are not those of the contract."""
+    return _decoded(kind, bare(kind, data))
+
+
 @lru_cache(maxsize=65536)
 def _decoded(kind: type, data: bytes) -> tuple[Any, ...] | None:
     try:
@@ -115,11 +116,6 @@ def _decoded(kind: type, data: bytes) -> tuple[Any, ...] | None:
     except CodecError:
         return None
     return tuple(getattr(message, field.name) for field in fields(kind))
-
-
-def values(kind: type, data: bytes) -> tuple[Any, ...] | None:
-    """Return the values of a message in SI units; None when they are not those of the contract."""
-    return _decoded(kind, bare(kind, data))
 
 
 def value_text(value: Any) -> str:

@@ -114,9 +114,9 @@ class TruckLog:
         self, finder: ShiftFinder, channel: str, can_id: int, extended: bool
     ) -> list[_Taker]:
         """Return what takes the data frames of an identifier."""
-        takers: list[_Taker | None] = []
+        takers: list[_Taker] = []
         if self.mapping.is_standard and extended:
-            takers.append(finder.follow(channel, can_id))
+            takers += filter(None, [finder.follow(channel, can_id)])
         sender = self.mapping.sender(channel, can_id, extended)
         if sender is not None:
             length = self.mapping.length(sender.message)
@@ -133,7 +133,7 @@ class TruckLog:
                     translate(frame)
 
             takers.append(take)
-        return [take for take in takers if take is not None]
+        return takers
 
     def _translator(self, sender: Sender, finder: ShiftFinder) -> _Taker:
         """Return what passes frames of another layout to the finder, as ETC1 and ETC2.
@@ -165,20 +165,13 @@ class TruckLog:
 
     def _finish(self, finder: ShiftFinder) -> None:
         self.shifts = finder.finish()
-        self.notes = list(finder.notes)
-        if finder.unfinished:
-            self.notes.append(
-                f"{counted(finder.unfinished, 'shift')} without beginning or end in the log"
-            )
-        if self._short and not self.mapping.is_standard:
-            self.notes.append(
-                f"{counted(self._short, 'frame')} shorter than the DBC states, left out"
-            )
-        if finder.unflagged:
-            count = len(finder.unflagged)
-            self.notes.append(
-                f"{counted(count, 'change')} of gear outside of flagged shifts, not compared"
-            )
+        short = 0 if self.mapping.is_standard else self._short
+        counts = (
+            (finder.unfinished, "shift", "without beginning or end in the log"),
+            (short, "frame", "shorter than the DBC states, left out"),
+            (len(finder.unflagged), "change", "of gear outside of flagged shifts, not compared"),
+        )
+        self.notes = finder.notes + [f"{counted(n, noun)} {what}" for n, noun, what in counts if n]
         self._series = {
             sender: series for sender, series in self._series.items() if series.times_ns
         }
@@ -232,14 +225,12 @@ class TruckLog:
 
     def gap_s(self, shift: Shift, begin_ns: int, end_ns: int) -> float:
         """Return the longest time from begin to end without a frame of what shows the shift."""
-        names = self.mapping.messages_of(*_FLAG_AND_SPEEDS, *GEARS)
-        times: set[int] = {begin_ns, end_ns}
-        for sender in self._series:
-            is_same = (sender.channel, sender.source) == (shift.channel, shift.source)
-            if is_same and sender.message in names:
-                times.update(time_ns for time_ns, _ in self._window(sender, begin_ns, end_ns))
-        ordered = sorted(times)
-        return max(b - a for a, b in pairwise(ordered)) / NS_PER_S
+        times = [begin_ns, end_ns]
+        for name in self.mapping.messages_of(*_FLAG_AND_SPEEDS, *GEARS):
+            sender = Sender(name, shift.channel, shift.source)
+            if sender in self._series:
+                times += (time_ns for time_ns, _ in self._window(sender, begin_ns, end_ns))
+        return max(b - a for a, b in pairwise(sorted(times))) / NS_PER_S
 
     def _window(self, sender: Sender, begin_ns: int, end_ns: int) -> list[tuple[int, bytes]]:
         series, length = self._series[sender], self.mapping.length(sender.message)
@@ -256,11 +247,8 @@ class TruckLog:
 
 
 def _etc1(latest: dict[Meaning, float]) -> bytes:
-    flag = latest.get("shift_in_process")
-    state = int(flag) if flag in (0.0, 1.0) else 3
-    output, entry = (
-        _word(latest.get(name)) for name in ("output_shaft_rad_s", "input_shaft_rad_s")
-    )
+    state = {0.0: 0, 1.0: 1}.get(latest.get("shift_in_process", 3.0), 3)
+    entry, output = (_word(latest.get(name)) for name in SHAFT_SPEEDS)
     return bytes((0xCF | state << 4, *output, 0xFF, 0xFF, *entry, 0xFF))
 
 
@@ -270,7 +258,7 @@ def _word(speed_rad_s: float | None) -> Sequence[int]:
 
 
 def _etc2(latest: dict[Meaning, float]) -> bytes:
-    selected, current = (_gear(latest.get(name)) for name in ("selected_gear", "current_gear"))
+    current, selected = (_gear(latest.get(name)) for name in GEARS)
     return bytes((selected, 0xFF, 0xFF, current, 0xFF, 0xFF, 0xFF, 0xFF))
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from can_dbc.messages import GEAR_PARK, ControllerStatus, Fault
 from sil.files.overrides import Settings
-from sil.log_replay.truck_shift import SYNCHRONISED_RAD_S, RecordedShift, peak_rate
+from sil.log_replay.truck_shift import PHASES, SYNCHRONISED_RAD_S, RecordedShift, peak_rate
 from sil.report.figure import Floats
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import Run, run_in_memory
@@ -82,24 +82,23 @@ def side(gear: int) -> str:
 
 def inputs_of(recorded: RecordedShift) -> list[Input]:
     """Return all values of the simulation that depend on the shift, or are assumed for it."""
-    shift = recorded.shift
-    assert shift.from_gear is not None
-    assert shift.to_gear is not None
-    after = side(shift.to_gear)
-    before = side(shift.from_gear)
-    text = f"gear {shift.from_gear}: odd gears forward, even gears backward"
+    from_gear, to_gear = recorded.shift.from_gear, recorded.shift.to_gear
+    assert from_gear is not None
+    assert to_gear is not None
+    before, after = side(from_gear), side(to_gear)
+    text = f"gear {from_gear}: odd gears forward, even gears backward"
     if before == after:
         before = "backward" if after == "forward" else "forward"
-        text = f"gear {shift.from_gear}: the opposite side, though the parity is the same"
-    shift_inputs = [
+        text = f"gear {from_gear}: the opposite side, though the parity is the same"
+    return [
         Input("initial_gear", before, "default", text),
-        Input("request.gear", after, "default", f"gear {shift.to_gear}"),
+        Input("request.gear", after, "default", f"gear {to_gear}"),
         _request(recorded),
         _supply(recorded),
         _pull(recorded),
         Input("plant.mesh_force_n", MESH_N, "default", "not recorded; as in truck_into_gear_easy"),
+        *_driveline(recorded),
     ]
-    return shift_inputs + _driveline(recorded)
 
 
 def _request(recorded: RecordedShift) -> Input:
@@ -147,36 +146,32 @@ def _driveline(recorded: RecordedShift) -> list[Input]:
     if sync is None:
         text = "speeds of this shift not known; the driveline's defaults"
         return [Input("driveline", "defaults", "default", text)]
-    driveline_inputs = [
-        Input(
-            "driveline.output_rad_s", sync.main_rad_s, "derived",
-            f"main shaft: median output speed * {sync.main_by_output:g}, the range section's ratio "
-            f"assumed for the gear's ratio {sync.new_ratio:.3f}",
-        ),
-        Input(
-            "driveline.gear_step_rad_s", sync.step_rad_s, "derived",
-            f"main shaft speed * ({sync.old_ratio:.3f} / {sync.new_ratio:.3f} - 1), ratios of the log",
-        ),
-    ]  # fmt: skip
+    text = (
+        f"main shaft: median output speed * {sync.main_by_output:g}, the range section's ratio "
+        f"assumed for the gear's ratio {sync.new_ratio:.3f}"
+    )
+    output = Input("driveline.output_rad_s", sync.main_rad_s, "derived", text)
     if not recorded.shift.from_gear:
         after = recorded.times_s["synchronised"] or 0.0
         value = float(np.interp(after, sync.time_s, sync.difference_rad_s))
         text = "speed difference at our request"
-        return [driveline_inputs[0], Input("driveline.residual_rad_s", value, "log", text)]
+        return [output, Input("driveline.residual_rad_s", value, "log", text)]
+    text = (
+        f"main shaft speed * ({sync.old_ratio:.3f} / {sync.new_ratio:.3f} - 1), ratios of the log"
+    )
+    step = Input("driveline.gear_step_rad_s", sync.step_rad_s, "derived", text)
     if sync.ramp_rad_s2 is None or sync.delay_s is None:
         text = "fall of the difference not known; the driveline's default"
-        return [
-            *driveline_inputs,
-            Input("driveline.engine_ramp_rad_s2", "default", "default", text),
-        ]
-    fall = (
+        return [output, step, Input("driveline.engine_ramp_rad_s2", "default", "default", text)]
+    text = (
         "straight line through the recorded difference, 90 to 10 %, at most "
         f"{sync.apart_rad_s:.1f} rad/s apart; taken as the engine's alone"
     )
     return [
-        *driveline_inputs,
+        output,
+        step,
         Input("driveline.engine_delay_s", sync.delay_s, "derived", "from leaving the gear on"),
-        Input("driveline.engine_ramp_rad_s2", sync.ramp_rad_s2, "derived", fall),
+        Input("driveline.engine_ramp_rad_s2", sync.ramp_rad_s2, "derived", text),
     ]
 
 
@@ -188,9 +183,10 @@ def scenario_of(inputs: Sequence[Input]) -> dict[str, Any]:
         section, _, name = path.partition(".")
         if section in table and name and not isinstance(value, str):
             table[section][name] = value
-    ramp = table["driveline"].get("engine_ramp_rad_s2", 150.0)
-    falls_s = abs(table["driveline"].get("gear_step_rad_s", 0.0)) / ramp
-    falls_s += table["driveline"].get("engine_delay_s", 0.0)
+    driveline = table["driveline"]
+    ramp = driveline.get("engine_ramp_rad_s2", 150.0)
+    falls_s = abs(driveline.get("gear_step_rad_s", 0.0)) / ramp
+    falls_s += driveline.get("engine_delay_s", 0.0)
     return table | {
         "name": "shift of a truck's log",
         "duration_s": min(REQUEST_S + 2.6 + falls_s, 8.0),
@@ -222,9 +218,8 @@ def simulate(
     offset_s = -REQUEST_S if isinstance(after, str) else after - REQUEST_S
     if isinstance(after, str) and left is not None and passed.any():
         offset_s = left - float(truth["time_s"][np.argmax(passed)])
-    return _measured(
-        recorded, run, offset_s, block_m, driveline.inertia_kg_m2 / driveline.cone_gain_m
-    )
+    n_s_per_rad_s = driveline.inertia_kg_m2 / driveline.cone_gain_m
+    return _measured(recorded, run, offset_s, block_m, n_s_per_rad_s)
 
 
 def _measured(
@@ -239,42 +234,37 @@ def _measured(
         instants = time[started & condition]
         return float(instants[0]) + offset_s if len(instants) else None
 
-    times: dict[str, float | None] = {"torque_cut": recorded.times_s["torque_cut"]}
-    from_gear, to_gear = bool(recorded.shift.from_gear), bool(recorded.shift.to_gear)
-    times["disengaged"] = first(np.abs(position) < block_m) if from_gear else None
-    left = impulse = times["synchronised"] = None
-    if to_gear and recorded.synchronisation is not None:
+    disengaged = synchronised = left = peak = engaged = back = None
+    if recorded.shift.from_gear:
+        disengaged = first(np.abs(position) < block_m)
+    if recorded.shift.to_gear and recorded.synchronisation is not None:
         apart = np.flatnonzero(started & (np.abs(difference) > SYNCHRONISED_RAD_S))
         if not len(apart):
-            times["synchronised"] = REQUEST_S + offset_s
+            synchronised = REQUEST_S + offset_s
         elif apart[-1] + 1 < len(time):
-            times["synchronised"] = float(time[apart[-1] + 1]) + offset_s
+            synchronised = float(time[apart[-1] + 1]) + offset_s
         blocked = np.flatnonzero(started & (truth["spent_impulse_n_s"] > 0.0))
-        if len(blocked):
-            left = abs(float(difference[blocked[0]]))
-            impulse = left * n_s_per_rad_s
-    confirmed = figures.confirmed_s
-    times["engaged"] = None if confirmed is None else confirmed + offset_s
-    back, engaged = recorded.times_s["torque_back"], recorded.times_s["engaged"]
-    all_there = confirmed is not None and back is not None and engaged is not None
-    times["torque_back"] = times["engaged"] + back - engaged if all_there else None  # type: ignore[operator]
-    peak = None
-    if times["disengaged"] is not None and times["synchronised"] is not None:
-        peak = peak_rate(
-            time + offset_s, difference, times["disengaged"] + 0.011, times["synchronised"] + 0.1
-        )
+        left = abs(float(difference[blocked[0]])) if len(blocked) else None
+    if disengaged is not None and synchronised is not None:
+        peak = peak_rate(time + offset_s, difference, disengaged + 0.011, synchronised + 0.1)
+    theirs = recorded.times_s
+    if figures.confirmed_s is not None:
+        engaged = figures.confirmed_s + offset_s
+        if theirs["torque_back"] is not None and theirs["engaged"] is not None:
+            back = engaged + theirs["torque_back"] - theirs["engaged"]
+    instants = (theirs["torque_cut"], disengaged, synchronised, engaged, back)
     raised = Fault.NONE
     for _, status in run.record.of(ControllerStatus):
         raised |= status.faults
     return OurShift(
-        times_s=times,
-        reached=confirmed is not None,
+        times_s=dict(zip(PHASES, instants, strict=True)),
+        reached=engaged is not None,
         faults="|".join(fault.name or "" for fault in raised),
         impact_speed_m_s=figures.impact_speed_m_s,
         impact_energy_j=figures.impact_energy_j,
         peak_rad_s2=peak,
         left_rad_s=left,
-        impulse_n_s=impulse,
+        impulse_n_s=None if left is None else left * n_s_per_rad_s,
         time_s=time[started] + offset_s,
         position_m=position[started],
         difference_rad_s=difference[started],

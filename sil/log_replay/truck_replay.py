@@ -5,6 +5,7 @@ Checked by: tests/scenarios/test_truck_log.py
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
@@ -125,10 +126,8 @@ def replay_truck(
             ]
             shifts.append(ComparedShift(number, recorded, inputs, ours, skipped))
             progress(number, len(log.shifts))
-    notes = list(log.notes)
-    if not reader.report.clean:
-        notes += [f"log: {line}" for line in reader.report.lines()[1:]]
-    return TruckReplay(log, variants, shifts, notes)
+    damage = [] if reader.report.clean else reader.report.lines()[1:]
+    return TruckReplay(log, variants, shifts, [*log.notes, *(f"log: {line}" for line in damage)])
 
 
 def truck_verdict(shift: ComparedShift, column: int = 0) -> list[str]:
@@ -139,38 +138,41 @@ def truck_verdict(shift: ComparedShift, column: int = 0) -> list[str]:
     if not ours.reached:
         faults = f" ({ours.faults})" if ours.faults else ""
         return [f"ours does not reach the gear{faults}"]
-    lines = []
-    theirs, mine = recorded.times_s["engaged"], ours.times_s["engaged"]
-    assert mine is not None
     if not recorded.is_whole:
         return ["not comparable: the log has a gap inside"]
-    if theirs is None:
-        lines.append("how long the truck took to the new gear is not known")
+    early = _early_s(shift, column)
+    if early is None:
+        lines = ["how long the truck took to the new gear is not known"]
     else:
-        early = theirs - mine
+        theirs, mine = recorded.times_s["engaged"], ours.times_s["engaged"]
         both = f"{mine:.3f} s against {theirs:.3f} s from the request to the new gear"
         known_s = recorded.known_s["engaged"]
         if abs(early) <= known_s:
-            lines.append(f"as quick: {both}, the log resolves {known_s:.2f} s")
+            lines = [f"as quick: {both}, the log resolves {known_s:.2f} s"]
         else:
-            lines.append(f"{abs(early):.3f} s {'quicker' if early > 0 else 'slower'}: {both}")
+            lines = [f"{abs(early):.3f} s {'quicker' if early > 0 else 'slower'}: {both}"]
             lines += _reasons(recorded, ours)
     return [*lines, *_softness(recorded, ours)]
+
+
+def _early_s(shift: ComparedShift, column: int) -> float | None:
+    """Return by how much ours reaches the new gear before the truck, None where not known."""
+    theirs, mine = (side.times_s["engaged"] for side in (shift.recorded, shift.ours[column]))
+    return None if theirs is None or mine is None else theirs - mine
 
 
 def _reasons(recorded: RecordedShift, ours: OurShift) -> Iterator[str]:
     """Yield the parts that make the difference, the largest first."""
     parts = []
-    instants = [
-        name
-        for name in ("torque_cut", "disengaged", "synchronised", "engaged")
-        if recorded.times_s[name] is not None and ours.times_s[name] is not None
-    ]
-    for before, after in zip(["", *instants], instants, strict=False):
-        theirs = recorded.times_s[after] - (recorded.times_s[before] if before else 0.0)  # type: ignore[operator]
-        mine = ours.times_s[after] - (ours.times_s[before] if before else 0.0)  # type: ignore[operator]
-        if abs(theirs - mine) >= 0.005:
-            parts.append((abs(theirs - mine), before, after, theirs, mine))
+    before, theirs_before, mine_before = "", 0.0, 0.0
+    for name in ("torque_cut", "disengaged", "synchronised", "engaged"):
+        theirs, mine = recorded.times_s[name], ours.times_s[name]
+        if theirs is None or mine is None:
+            continue
+        spans = theirs - theirs_before, mine - mine_before
+        if abs(spans[0] - spans[1]) >= 0.005:
+            parts.append((abs(spans[0] - spans[1]), before, name, *spans))
+        before, theirs_before, mine_before = name, theirs, mine
     for _, before, after, theirs, mine in sorted(parts, reverse=True):
         start = NAMES.get(before, "request")
         why = _why(after, recorded, ours, mine < theirs)
@@ -178,10 +180,8 @@ def _reasons(recorded: RecordedShift, ours: OurShift) -> Iterator[str]:
 
 
 def _why(after: str, recorded: RecordedShift, ours: OurShift, quicker: bool) -> str:
-    if after == "disengaged":
-        return (
-            "; the log shows the gear left only when speeds or reported gear do" if quicker else ""
-        )
+    if after == "disengaged" and quicker:
+        return "; the log shows the gear left only when speeds or reported gear do"
     if after == "synchronised":
         if ours.left_rad_s is not None and ours.left_rad_s > 2.0:
             return (
@@ -238,15 +238,18 @@ def side_figures(shift: ComparedShift, column: int) -> dict[str, float | None]:
 
 def statistics(replay: TruckReplay) -> list[dict[str, Any]]:
     """Return median and 95 % of each figure and column, over the shifts without gaps."""
-    shifts = [shift for shift in replay.shifts if shift.counts]
-    rows = []
-    for name, unit in FIGURES.items():
-        columns = [
-            _spread(side_figures(shift, column)[name] for shift in shifts)
-            for column in range(len(replay.columns))
-        ]
-        rows.append({"figure": name, "unit": unit, "columns": columns})
-    return rows
+    sides = [
+        [side_figures(shift, column) for shift in replay.shifts if shift.counts]
+        for column in range(len(replay.columns))
+    ]
+    return [
+        {
+            "figure": name,
+            "unit": unit,
+            "columns": [_spread(s[name] for s in side) for side in sides],
+        }
+        for name, unit in FIGURES.items()
+    ]
 
 
 def _spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
@@ -259,13 +262,9 @@ def _spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
 
 def quicker(replay: TruckReplay, column: int) -> tuple[int, int, int]:
     """Return in how many counted shifts a variant is quicker, as quick, and slower."""
-    counts = [0, 0, 0]
+    counts: Counter[float] = Counter()
     for shift in replay.shifts:
-        if not shift.counts or not shift.ours[column].reached:
-            continue
-        theirs, mine = shift.recorded.times_s["engaged"], shift.ours[column].times_s["engaged"]
-        if theirs is None or mine is None:
-            continue
-        within = abs(theirs - mine) <= shift.recorded.known_s["engaged"]
-        counts[1 if within else 0 if mine < theirs else 2] += 1
-    return counts[0], counts[1], counts[2]
+        if shift.counts and (early := _early_s(shift, column)) is not None:
+            same = abs(early) <= shift.recorded.known_s["engaged"]
+            counts[0.0 if same else np.sign(early)] += 1
+    return counts[1.0], counts[0.0], counts[-1.0]

@@ -28,13 +28,8 @@ NAMES: Final = {
 """Instants of a shift after its request, in order, with their names in words."""
 
 PHASES: Final = tuple(NAMES)
-
-BEFORE_S, AFTER_S = 1.5, 1.5
-"""Recorded time around a shift that is looked at."""
-
-RATIO_BEFORE_S, RATIO_AFTER_S = (0.6, 0.05), (0.1, 0.7)
-"""Speed ratios are medians from so long to so long before the start and after the end."""
-
+AROUND_S: Final = 1.5
+"""Recorded time before and after a shift that is looked at."""
 
 SLOWEST_RAD_S: Final = 2.1
 """Output speed (20 rpm) below which a ratio means nothing."""
@@ -99,11 +94,9 @@ class RecordedShift:
 
 def peak_rate(time_s: Floats, values: Floats, begin_s: float, end_s: float) -> float | None:
     """Return the greatest rate of values [n] at time_s [n], over 40 ms or one sample, per second."""
-    inside = (time_s >= begin_s) & (time_s <= end_s)
-    t, y = time_s[inside], values[inside]
-    if len(t) < 2:
-        return None
-    step = max(1, round(0.04 / float(np.median(np.diff(t)))))
+    inside = Samples(time_s, values, "").within(begin_s, end_s)
+    t, y = inside.time_s, inside.values
+    step = max(1, round(0.04 / inside.period_s)) if len(t) > 1 else 1
     if len(t) <= step:
         return None
     return float(np.max(np.abs(y[step:] - y[:-step]) / (t[step:] - t[:-step])))
@@ -111,32 +104,29 @@ def peak_rate(time_s: Floats, values: Floats, begin_s: float, end_s: float) -> f
 
 def recorded_shift(log: TruckLog, shift: Shift) -> RecordedShift:
     """Return the phases of a shift of the log. Checked by test_truck_shift."""
-    before_ns, after_ns = round(BEFORE_S * 1e9), round(AFTER_S * 1e9)
-    begin_ns, end_ns = shift.start_ns - before_ns, shift.end_ns + after_ns
+    around_ns = round(AROUND_S * 1e9)
 
     def samples(meaning: Meaning, origin_ns: int) -> Samples | None:
+        begin_ns, end_ns = shift.start_ns - around_ns, shift.end_ns + around_ns
         return log.samples(meaning, shift, begin_ns, end_ns, origin_ns)
 
     selected = samples("selected_gear", shift.start_ns)
-    request_ns, notes = shift.start_ns, []
+    early_s = 0.0
     if selected is not None and shift.to_gear is not None:
         early_s = _selected_before(selected, shift.to_gear)
-        request_ns += round(1e9 * early_s)
-        if early_s:
-            notes.append("request: when the selected gear changed, before the shift in process")
-    if request_ns == shift.start_ns:
-        notes.append("request: the start of the shift in process, no earlier sign of it recorded")
+    notes = ["request: the start of the shift in process, no earlier sign of it recorded"]
+    if early_s:
+        notes = ["request: when the selected gear changed, before the shift in process"]
+    request_ns = shift.start_ns + round(1e9 * early_s)
     signals = {meaning: samples(meaning, request_ns) for meaning in get_args(Meaning)}
-    gap_s = log.gap_s(shift, shift.start_ns - round(0.1e9), shift.end_ns + round(0.1e9))
+    gap_s = log.gap_s(shift, shift.start_ns - 100_000_000, shift.end_ns + 100_000_000)
     if gap_s > LONGEST_GAP_S:
         notes.append(f"{gap_s:.2f} s without frames of the transmission inside: not in the figures")
     end_s = (shift.end_ns - request_ns) / 1e9
     times: dict[str, float | None] = dict.fromkeys(PHASES)
-    recorded = RecordedShift(
-        shift, request_ns, end_s, signals, times, {}, None, gap_s <= LONGEST_GAP_S, notes
-    )
-    start_s = (shift.start_ns - request_ns) / 1e9
-    _speeds(recorded, start_s, log.mapping.gearbox)
+    is_whole = gap_s <= LONGEST_GAP_S
+    recorded = RecordedShift(shift, request_ns, end_s, signals, times, {}, None, is_whole, notes)
+    _speeds(recorded, (shift.start_ns - request_ns) / 1e9, log.mapping.gearbox)
     _reported_gears(recorded)
     _fit_ramp(recorded)
     _torque(recorded)
@@ -145,12 +135,10 @@ def recorded_shift(log: TruckLog, shift: Shift) -> RecordedShift:
 
 def _selected_before(selected: Samples, gear: int) -> float:
     """Return how long before the start, as a time <= 0, the gear was selected; 0 if it was not."""
-    is_it = np.round(selected.values) == gear
-    others = np.flatnonzero(~is_it & (selected.time_s <= 0.0))
-    first = others[-1] + 1 if len(others) else len(is_it)
-    if first < len(is_it) and is_it[first] and selected.time_s[first] < 0.0:
-        return float(selected.time_s[first])
-    return 0.0
+    before = selected.time_s <= 0.0
+    others = np.flatnonzero(before & (np.round(selected.values) != gear))
+    early_s = selected.time_s[others[-1] + 1 :] if len(others) else selected.time_s[:0]
+    return min(float(early_s[0]), 0.0) if len(early_s) else 0.0
 
 
 def _set(recorded: RecordedShift, phase: str, times: Floats, index: int) -> None:
@@ -158,72 +146,63 @@ def _set(recorded: RecordedShift, phase: str, times: Floats, index: int) -> None
     before = max(index, 1)
     spacing_s = float(times[before] - times[before - 1]) if len(times) > 1 else np.inf
     if spacing_s > LONGEST_GAP_S:
-        recorded.notes.append(
-            f"{NAMES[phase]}: not known, its sender was silent for {spacing_s:.2f} s"
-        )
+        silent = f"its sender was silent for {spacing_s:.2f} s"
+        recorded.notes.append(f"{NAMES[phase]}: not known, {silent}")
         recorded.times_s[phase] = None
-        return
-    recorded.times_s[phase], recorded.known_s[phase] = float(times[index]), spacing_s
+    else:
+        recorded.times_s[phase], recorded.known_s[phase] = float(times[index]), spacing_s
 
 
 def _speeds(recorded: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     """Fill in disengagement and synchronisation from the shaft speeds."""
     entry, output = recorded.signals["input_shaft_rad_s"], recorded.signals["output_shaft_rad_s"]
+    note, end_s = recorded.notes.append, recorded.end_s
     if entry is None or output is None:
-        recorded.notes.append("shaft speeds not available: synchronisation not known")
+        note("shaft speeds not available: synchronisation not known")
         return
     time = entry.time_s
     w_in, w_out = entry.values, np.interp(time, output.time_s, output.values)
+    steady_before, settled_after = (start_s - 0.6, start_s - 0.05), (end_s + 0.1, end_s + 0.7)
     moving = w_out > SLOWEST_RAD_S
     ratios = w_in[moving] / w_out[moving]
     possible = (ratios > 0.2) & (ratios < 40.0)  # others: neutral, the clutch or a sensor
     ratio = Samples(time[moving][possible], ratios[possible], "")
-    old = ratio.median(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
-    new = ratio.median(recorded.end_s + RATIO_AFTER_S[0], recorded.end_s + RATIO_AFTER_S[1])
-    during = Samples(time, w_out, "").median(start_s, recorded.end_s)
-    from_gear, to_gear = bool(recorded.shift.from_gear), bool(recorded.shift.to_gear)
+    old, new = ratio.median(*steady_before), ratio.median(*settled_after)
+    during = Samples(time, w_out, "").median(start_s, end_s)
+    from_gear = bool(recorded.shift.from_gear)
+    if not recorded.shift.to_gear:
+        return
     slow = during is None or during < SLOWEST_RAD_S
-    if new is None or during is None or slow or (old is None and from_gear) or not to_gear:
-        if to_gear:
-            recorded.notes.append("speed ratios not known: the vehicle too slow, or no speeds")
+    if new is None or during is None or slow or (old is None and from_gear):
+        note("speed ratios not known: the vehicle too slow, or no speeds")
         return
     old = old or new
     if abs(old / new - 1.0) < 0.03 and from_gear:
-        recorded.notes.append(
-            f"speed ratio {old:.2f} before, {new:.2f} after: nothing to synchronise"
-        )
+        note(f"speed ratio {old:.2f} before, {new:.2f} after: nothing to synchronise")
         return
     factor = gearbox.main_shaft_by_output(new)
     difference = factor * (w_in / new - w_out)
     step = factor * during * (old / new - 1.0)
     sync = Synchronisation(time, difference, factor * during, step, factor, old, new)
     recorded.synchronisation = sync
-    if not from_gear:
-        before = Samples(time, difference, "")
-    else:
-        before = Samples(time, factor * (w_in - old * w_out) / new, "")
-    inside = (time >= start_s) & (time <= recorded.end_s + RATIO_AFTER_S[0])
+    inside = (time >= start_s) & (time <= settled_after[0])
     t, d = time[inside], difference[inside]
     if len(t) > 1 and np.max(np.diff(t)) > LONGEST_GAP_S:
-        recorded.notes.append(
-            "shaft speeds missing for a while during the shift: not in the figures"
-        )
+        note("shaft speeds missing for a while during the shift: not in the figures")
         recorded.is_whole = False
-    settled = Samples(time, difference, "").within(
-        recorded.end_s + RATIO_AFTER_S[0], recorded.end_s + RATIO_AFTER_S[1]
-    )
+    settled = Samples(time, difference, "").within(*settled_after)
     away = np.flatnonzero(np.abs(d) > max(SYNCHRONISED_RAD_S, _scatter(settled)))
-    if len(away) == len(d) or (len(away) and away[-1] + 1 >= len(t)):
-        recorded.notes.append("the speeds never agree within the shift")
+    agreed = int(away[-1]) + 1 if len(away) else 0
+    if agreed >= len(t):
+        note("the speeds never agree within the shift")
         return
-    _set(recorded, "synchronised", t, int(away[-1]) + 1 if len(away) else 0)
-    if not from_gear:
-        return
-    steady = before.within(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
-    band = max(0.01 * abs(factor * during), _scatter(steady))
-    left = np.flatnonzero(np.abs(before.values[inside]) > band)
-    if len(left):
-        _set(recorded, "disengaged", t, int(left[0]))
+    _set(recorded, "synchronised", t, agreed)
+    if from_gear:
+        before = Samples(time, factor * (w_in - old * w_out) / new, "")
+        band = max(0.01 * abs(factor * during), _scatter(before.within(*steady_before)))
+        left = np.flatnonzero(np.abs(before.values[inside]) > band)
+        if len(left):
+            _set(recorded, "disengaged", t, int(left[0]))
 
 
 def _scatter(steady: Samples) -> float:
@@ -238,16 +217,16 @@ def _fit_ramp(recorded: RecordedShift) -> None:
     sync, begin = recorded.synchronisation, recorded.times_s["disengaged"]
     if sync is None or begin is None or recorded.times_s["synchronised"] is None:
         return
-    inside = (sync.time_s >= begin) & (sync.time_s <= recorded.end_s + RATIO_AFTER_S[0])
-    t, share = sync.time_s[inside], sync.difference_rad_s[inside] / sync.step_rad_s
-    high, low = np.flatnonzero(share <= 0.9), np.flatnonzero(share <= 0.1)
-    if not (len(high) and len(low)):
+    difference = Samples(sync.time_s, sync.difference_rad_s, "").within(begin, recorded.end_s + 0.1)
+    t, share, step = difference.time_s, difference.values / sync.step_rad_s, abs(sync.step_rad_s)
+    if not (share <= 0.1).any():
         return
-    taken_s = max(float(t[low[0]] - t[high[0]]), 0.01)  # at least a period of ETC1
-    ramp = 0.8 * abs(sync.step_rad_s) / taken_s
-    delay_s = max(0.0, float(t[high[0]]) - begin - 0.1 * abs(sync.step_rad_s) / ramp)
-    fallen = np.clip(1.0 - (t - begin - delay_s) * ramp / abs(sync.step_rad_s), 0.0, 1.0)
-    apart = float(np.max(np.abs(share - fallen)) * abs(sync.step_rad_s))
+    high, low = np.argmax(share <= 0.9), np.argmax(share <= 0.1)
+    taken_s = max(float(t[low] - t[high]), 0.01)  # at least a period of ETC1
+    ramp = 0.8 * step / taken_s
+    delay_s = max(0.0, float(t[high]) - begin - 0.1 * step / ramp)
+    fallen = np.clip(1.0 - (t - begin - delay_s) * ramp / step, 0.0, 1.0)
+    apart = float(np.max(np.abs(share - fallen)) * step)
     recorded.synchronisation = replace(sync, delay_s=delay_s, ramp_rad_s2=ramp, apart_rad_s=apart)
 
 
@@ -264,14 +243,12 @@ def _reported_gears(recorded: RecordedShift) -> None:
         reported = np.flatnonzero((np.round(gears.values) == target) & later)
         if len(reported):
             _set(recorded, "engaged", gears.time_s, int(reported[0]))
-    if synchronised is None:
-        return
-    if times["engaged"] is None or times["engaged"] < synchronised:
+    engaged = times["engaged"]
+    if synchronised is not None and (engaged is None or engaged < synchronised):
         times["engaged"] = synchronised
         recorded.known_s["engaged"] = recorded.known_s["synchronised"]
-        recorded.notes.append(
-            "engaged: when the speeds agreed for good, the gear was not reported later"
-        )
+        note = "engaged: when the speeds agreed for good, the gear was not reported later"
+        recorded.notes.append(note)
 
 
 def _torque(recorded: RecordedShift) -> None:
@@ -289,14 +266,13 @@ def _torque(recorded: RecordedShift) -> None:
             cut = during.values <= least + 0.1 * (before - least)
             _set(recorded, "torque_cut", during.time_s, int(np.argmax(cut)))
         else:
-            recorded.notes.append(
-                f"engine torque hardly changes ({before:.0%} before): no cut to see"
-            )
+            note = f"engine torque hardly changes ({before:.0%} before): no cut to see"
+            recorded.notes.append(note)
     engaged = times["engaged"]
     after = torque.median(recorded.end_s + 0.5, recorded.end_s + 1.0)
     if engaged is None or after is None:
         return
-    later = torque.within(engaged, recorded.end_s + AFTER_S)
+    later = torque.within(engaged, recorded.end_s + AROUND_S)
     if len(later.values) > 1 and after - later.values[0] >= LEAST_TORQUE:
         back = later.values >= later.values[0] + 0.9 * (after - later.values[0])
         if back.any():

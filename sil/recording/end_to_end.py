@@ -29,14 +29,9 @@ class EndToEnd:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Return frames by status, and how many of an intruder's frames were accepted."""
+        statuses = [status for status in E2eStatus if status is not E2eStatus.NO_NEW_DATA]
         return {
-            kind.__name__: {
-                **{
-                    status.value: receiver.counts[status]
-                    for status in E2eStatus
-                    if status is not E2eStatus.NO_NEW_DATA
-                },
-                "intruder's taken": self._foreign[kind],
-            }
+            kind.__name__: {status.value: receiver.counts[status] for status in statuses}
+            | {"intruder's taken": self._foreign[kind]}
             for kind, receiver in self._receivers.items()
         }

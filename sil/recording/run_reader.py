@@ -25,8 +25,6 @@ PIECE_S = 60.0
 PIECE_ROWS = 1_000_000
 """A piece has at most about this many rows of the trace."""
 
-_FRAMES_AT_ONCE = 1 << 18
-
 
 class RowReader:
     """Rows of fixed size in a file, by their index, also while it is written.
@@ -52,6 +50,11 @@ class RowReader:
         return bisect_left(
             range(self.rows), value, key=lambda k: self.read(k, k + 1)[self._ordered_by][0]
         )
+
+    def between(self, begin: float, end: float) -> NDArray[Any]:
+        """Return the rows from `begin` to before `end` in the order of the file: [rows]."""
+        first = 0 if begin <= 0.0 else self.first_from(begin)
+        return self.read(first, self.rows if end == np.inf else self.first_from(end))
 
 
 class _Header(msgspec.Struct):
@@ -143,30 +146,22 @@ class RunReader:
 
     def _record(self, start_s: float, end_s: float, last_arrival_s: float) -> RunRecord:
         """Return rows and events from start to before end, frames to before the last arrival."""
-        first = 0 if start_s <= 0.0 else self._trace.first_from(start_s)
-        beyond = self.rows if end_s > self.end_s else self._trace.first_from(end_s)
-        rows = self._trace.read(first, beyond)
-        begin = 0 if start_s <= 0.0 else self._frames.first_from(round(start_s * NS_PER_S))
-        last = self._frames.rows
-        if last_arrival_s < np.inf:
-            last = self._frames.first_from(round(last_arrival_s * NS_PER_S))
+        rows = self._trace.between(start_s, end_s)
+        frames = self._frames.between(start_s * NS_PER_S, last_arrival_s * NS_PER_S)
         return RunRecord(
-            truth={
-                name: np.ascontiguousarray(rows[name]) for name in self._trace.kind.fields or ()
-            },
+            truth={name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()},
             events=self._events_between(start_s, end_s),
-            frames=StoredFrames(self._frames.read(begin, last), self._senders),
+            frames=StoredFrames(frames, self._senders),
             **self._constants,
         )
 
     @cached_property
     def _longest_way_ns(self) -> int:
         """The longest time from the release of a frame to its arrival, ns."""
-        longest = 0
-        for begin in range(0, self._frames.rows, _FRAMES_AT_ONCE):
-            frames = self._frames.read(begin, min(begin + _FRAMES_AT_ONCE, self._frames.rows))
-            longest = max(longest, int((frames["arrival"] - frames["released"]).max()))
-        return longest
+        frames, step = self._frames, 1 << 18
+        begins = range(0, frames.rows, step)
+        pieces = (frames.read(begin, min(begin + step, frames.rows)) for begin in begins)
+        return max((int((p["arrival"] - p["released"]).max()) for p in pieces), default=0)
 
     def _read_events(self) -> dict[int, tuple[int, int]]:
         """Return the byte range of each piece's events in the file, and store the balances."""

@@ -28,14 +28,10 @@ OPEN_ABOVE = 0.34
 STORED = struct.Struct("<QQIBB8s")
 """A frame on disk: released and arrival [ns], identifier, length, number of its sender, data."""
 STORED_FRAME = np.dtype(
-    [
-        ("released", "<u8"),
-        ("arrival", "<u8"),
-        ("can_id", "<u4"),
-        ("length", "u1"),
-        ("sender", "u1"),
-        ("data", "V8"),
-    ]
+    {
+        "names": ["released", "arrival", "can_id", "length", "sender", "data"],
+        "formats": ["<u8", "<u8", "<u4", "u1", "u1", "V8"],
+    }
 )
 
 
@@ -55,10 +51,8 @@ class StoredFrames(Collection[BusFrame]):
         return len(self._stored)
 
     def __iter__(self) -> Iterator[BusFrame]:
-        senders = self._senders
-        for released, arrival, can_id, length, sender, data in STORED.iter_unpack(
-            self._stored.tobytes()
-        ):
+        senders, rows = self._senders, STORED.iter_unpack(self._stored.tobytes())
+        for released, arrival, can_id, length, sender, data in rows:
             yield BusFrame(released, arrival, senders[sender], Frame(can_id, data[:length]))
 
     def __contains__(self, frame: object) -> bool:

@@ -31,9 +31,6 @@ FROM_STATUS = {
 }
 """Columns from the controller's frames, each value held until the next frame."""
 
-ROWS_AT_ONCE = 20_000
-"""Rows formatted at a time."""
-
 INTEGERS = frozenset(("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults"))
 
 
@@ -55,11 +52,10 @@ def trace_columns(
     """
     before = before or {}
     columns = dict(record.truth)
-    at = columns["time_s"]
     for name, field in FROM_STATUS.items():
         times, values = record.series(ControllerStatus, field)
-        last = before.get(name, math.nan)
-        columns[name] = held(times, np.array(values, dtype=np.float64), at, last)
+        numbers = np.array(values, dtype=np.float64)
+        columns[name] = held(times, numbers, columns["time_s"], before.get(name, math.nan))
     rest = [name for name in columns if name not in FIRST_COLUMNS]
     return {name: columns[name] for name in (*FIRST_COLUMNS, *rest)}
 
@@ -82,20 +78,18 @@ class TraceCsv:
             _, values = record.series(ControllerStatus, field)
             if values:
                 self._held[name] = float(values[-1])
-        at = record.truth["time_s"]
         if self._file.tell() == 0:
             self._file.write((",".join(columns) + "\n").encode())
-        for begin in range(0, len(at), ROWS_AT_ONCE):
+        for begin in range(0, len(record.truth["time_s"]), 20_000):
             texts = [
-                [
-                    "" if v != v else str(int(v))
-                    for v in column[begin : begin + ROWS_AT_ONCE].tolist()
-                ]
-                if name in INTEGERS
-                else [
-                    "" if v != v else repr(v) for v in column[begin : begin + ROWS_AT_ONCE].tolist()
-                ]
+                _texts(column[begin : begin + 20_000].tolist(), name in INTEGERS)
                 for name, column in columns.items()
             ]
             lines = "".join(",".join(row) + "\n" for row in zip(*texts, strict=True))
             self._file.write(lines.encode())
+
+
+def _texts(values: list[float], are_integers: bool) -> list[str]:
+    if are_integers:
+        return ["" if v != v else str(int(v)) for v in values]
+    return ["" if v != v else repr(v) for v in values]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
+from itertools import zip_longest
 from typing import Any, Final
 
 from can_dbc.frame import split_id
@@ -82,15 +83,19 @@ class ShiftFinder:
     """Finds the shifts in a log: `follow` each identifier, then `finish`.
 
     Senders (channel and source address) are followed apart, of engines the first on each channel.
+    engines: torque and speed around shifts, by channel. chatter: one-sample changes left out, of flags
+    and gears. unfinished: shifts without beginning or end.
     """
 
     def __init__(self) -> None:
         self._flags: dict[tuple[str, int], FlagTracker] = defaultdict(FlagTracker)
         self._gears: dict[tuple[str, int], GearHistory] = defaultdict(GearHistory)
-        self._engines: dict[str, tuple[int, EngineTrace]] = {}
+        self._engine_sources: dict[str, int] = {}
         self._short = 0
+        self.engines: dict[str, EngineTrace] = defaultdict(EngineTrace)
         self.unflagged: list[Shift] = []
         self.notes: list[str] = []
+        self.chatter = self.unfinished = 0
 
     def follow(self, channel: str, can_id: int) -> Callable[[LogFrame], None] | None:
         """Return what takes the data frames of an extended identifier, None if they show no shift."""
@@ -100,11 +105,8 @@ class ShiftFinder:
             take = self._flags[channel, source].take
         elif pgn == PGN_ETC2:
             take = self._gears[channel, source].take
-        elif pgn == PGN_EEC1:
-            first, engine = self._engines.setdefault(channel, (source, EngineTrace()))
-            if first != source:
-                return None
-            take = engine.take
+        elif pgn == PGN_EEC1 and self._engine_sources.setdefault(channel, source) == source:
+            take = self.engines[channel].take
         else:
             return None
 
@@ -112,26 +114,10 @@ class ShiftFinder:
             data = frame[2]
             if len(data) < 8:
                 self._short += 1
-            elif take(frame[0], data) and channel in self._engines:
-                self._engines[channel][1].keep(frame[0])
+            elif take(frame[0], data) and channel in self.engines:
+                self.engines[channel].keep(frame[0])
 
         return take_frame
-
-    @property
-    def chatter(self) -> int:
-        """One-sample changes left out, of flags and gears."""
-        flags = sum(tracker.chatter for tracker in self._flags.values())
-        return flags + sum(history.chatter for history in self._gears.values())
-
-    @property
-    def unfinished(self) -> int:
-        """Shifts without beginning or end."""
-        return sum(tracker.unfinished for tracker in self._flags.values())
-
-    @property
-    def engines(self) -> dict[str, EngineTrace]:
-        """Torque and speed around shifts, of the engine on each channel."""
-        return {channel: trace for channel, (_, trace) in self._engines.items()}
 
     def finish(self) -> list[Shift]:
         """All shifts, by their start."""
@@ -140,18 +126,17 @@ class ShiftFinder:
         flagged: list[Shift] = []
         for sender, tracker in self._flags.items():
             tracker.finish()
+            source = f"source {sender[1]:#04x}"
             if tracker.clock_steps:
+                self.notes.append(f"{source}: the clock stepped back {tracker.clock_steps} times")
+            if silent := sum(shift.silent_ns > 0 for shift in tracker.shifts):
                 self.notes.append(
-                    f"source {sender[1]:#04x}: the clock stepped back {tracker.clock_steps} times"
-                )
-            if silent := [shift for shift in tracker.shifts if shift.silent_ns]:
-                self.notes.append(
-                    f"source {sender[1]:#04x}: not recorded for over 1 s in {counted(len(silent), 'shift')}, "
+                    f"{source}: not recorded for over 1 s in {counted(silent, 'shift')}, "
                     "so no times in them are known better"
                 )
             flagged += self._flagged(sender, tracker)
         shifts = self._once(flagged)
-        flagged_channels = {key[0] for key, tracker in self._flags.items() if tracker.shifts}
+        flagged_channels = {shift.channel for shift in flagged}
         for sender, history in self._gears.items():
             by_gear = self._by_gear(sender, history)
             alone = [s for s in by_gear if not _near_any(s, flagged)]
@@ -159,6 +144,9 @@ class ShiftFinder:
                 self.unflagged += alone
             else:
                 shifts += [s for s in alone if not _repeats(s, shifts)]
+        self.chatter = sum(tracker.chatter for tracker in self._flags.values())
+        self.chatter += sum(history.chatter for history in self._gears.values())
+        self.unfinished = sum(tracker.unfinished for tracker in self._flags.values())
         if self._short:
             self.notes.append(f"{self._short} ETC1 or ETC2 frames of fewer than 8 bytes")
         if not shifts:
@@ -183,9 +171,9 @@ class ShiftFinder:
         return shifts
 
     def _engine(self, shift: Shift) -> EngineFigures | None:
-        if shift.channel not in self._engines:
+        if shift.channel not in self.engines:
             return None
-        return self._engines[shift.channel][1].figures(shift.start_ns, shift.end_ns)
+        return self.engines[shift.channel].figures(shift.start_ns, shift.end_ns)
 
     def _once(self, shifts: list[Shift]) -> list[Shift]:
         """One of each shift that a gateway or another unit repeats: a truck shifts one at a time.
@@ -202,14 +190,14 @@ class ShiftFinder:
                 and abs(other.start_ns - shift.start_ns) < 100_000_000
                 and abs(other.end_ns - shift.end_ns) < 100_000_000
             ]
-            if twins:
-                note = f"shifts on channel {shift.channel} repeat those on {twins[0].channel}"
-                if shift.source != twins[0].source:
-                    note = f"shifts of {shift.source:#04x} repeat those of {twins[0].source:#04x}"
-                if note not in self.notes:
-                    self.notes.append(note)
-            else:
+            if not twins:
                 kept.append(shift)
+                continue
+            note = f"shifts on channel {shift.channel} repeat those on {twins[0].channel}"
+            if shift.source != twins[0].source:
+                note = f"shifts of {shift.source:#04x} repeat those of {twins[0].source:#04x}"
+            if note not in self.notes:
+                self.notes.append(note)
         return kept
 
     def _explain(self) -> None:
@@ -232,36 +220,38 @@ class ShiftFinder:
         history = self._history(sender)
         channel, source = sender
         shifts: list[Shift] = []
-        for index, flagged in enumerate(tracker.shifts):
-            following = tracker.shifts[index + 1 : index + 2]
-            until_ns = following[0].start_ns if following else flagged.end_ns + SETTLE_NS
-            if until_ns < flagged.end_ns:
-                until_ns = flagged.end_ns + SETTLE_NS
-            before = history.gear_before(flagged.start_ns) if history else None
-            after = history.gear_after(flagged.end_ns, until_ns) if history else None
-            shift = Shift(flagged.start_ns, flagged.end_ns, before, after, source, channel, "flag")
-            names = ("chatter", "from_ratio", "to_ratio", "silent_ns")
-            shifts.append(replace(shift, **{name: getattr(flagged, name) for name in names}))
-        return self._gears_by_ratio(shifts)
-
-    def _gears_by_ratio(self, shifts: list[Shift]) -> list[Shift]:
-        """Fill in gears that nothing reported, from speed ratios that are known for gears."""
-        ratios: dict[int, float] = {}
-        for shift in shifts:
-            for gear, ratio in (
-                (shift.from_gear, shift.from_ratio),
-                (shift.to_gear, shift.to_ratio),
-            ):
-                if gear and ratio is not None:
-                    ratios.setdefault(gear, ratio)
-        return [
-            replace(
-                shift,
-                from_gear=_by_ratio(shift.from_gear, shift.from_ratio, ratios),
-                to_gear=_by_ratio(shift.to_gear, shift.to_ratio, ratios),
+        for flagged, following in zip_longest(tracker.shifts, tracker.shifts[1:]):
+            until_ns = flagged.end_ns + SETTLE_NS
+            if following is not None and following.start_ns >= flagged.end_ns:
+                until_ns = following.start_ns
+            shift = Shift(
+                **asdict(flagged),
+                from_gear=history.gear_before(flagged.start_ns) if history else None,
+                to_gear=history.gear_after(flagged.end_ns, until_ns) if history else None,
+                source=source,
+                channel=channel,
+                method="flag",
             )
-            for shift in shifts
-        ]
+            shifts.append(shift)
+        return _with_gears_by_ratio(shifts)
+
+
+def _with_gears_by_ratio(shifts: list[Shift]) -> list[Shift]:
+    """Fill in gears that nothing reported, from speed ratios that are known for gears."""
+    ratios: dict[int, float] = {}
+    for shift in shifts:
+        sides = (shift.from_gear, shift.from_ratio), (shift.to_gear, shift.to_ratio)
+        for gear, ratio in sides:
+            if gear and ratio is not None:
+                ratios.setdefault(gear, ratio)
+    return [
+        replace(
+            shift,
+            from_gear=_by_ratio(shift.from_gear, shift.from_ratio, ratios),
+            to_gear=_by_ratio(shift.to_gear, shift.to_ratio, ratios),
+        )
+        for shift in shifts
+    ]
 
 
 def _by_ratio(gear: int | None, ratio: float | None, ratios: Mapping[int, float]) -> int | None:
@@ -275,8 +265,8 @@ def _by_ratio(gear: int | None, ratio: float | None, ratios: Mapping[int, float]
 def _near_any(shift: Shift, flagged: Iterable[Shift]) -> bool:
     """Return whether a change of gear belongs to one of the flagged shifts, of whichever channel."""
     return any(
-        other.start_ns - SETTLE_NS <= shift.end_ns and shift.start_ns <= other.end_ns + SETTLE_NS
-        for other in flagged
+        s.start_ns - SETTLE_NS <= shift.end_ns and shift.start_ns <= s.end_ns + SETTLE_NS
+        for s in flagged
     )
 
 
@@ -327,14 +317,10 @@ class CommandedShifts:
     def pass_time(self, now_ns: int) -> int | None:
         """Return the begin of a shift that is over by now; one that does not end in 4 s is skipped."""
         begin_ns = self.begin_ns
-        if begin_ns is None:
-            return None
-        if self._energised:
-            if now_ns - begin_ns > 4_000_000_000:
-                self.skipped["energised for more than 4 s"] += 1
-                self.begin_ns = None
-            return None
-        if now_ns < self._off_ns + self._VENTED_NS:
+        if begin_ns is not None and self._energised and now_ns - begin_ns > 4_000_000_000:
+            self.skipped["energised for more than 4 s"] += 1
+            self.begin_ns = None
+        if self._energised or now_ns < self._off_ns + self._VENTED_NS:
             return None
         self.begin_ns = None
         return begin_ns

@@ -33,16 +33,16 @@ class EngineFigures:
     speed_after_rpm: float | None
 
     def __str__(self) -> str:
-        parts = [f"torque {self.torque_before_percent:.0f} %"]
-        parts.append(f"down to {self.torque_least_percent:.0f} %")
+        text = f"engine torque {self.torque_before_percent:.0f} %"
+        text += f", down to {self.torque_least_percent:.0f} %"
         if self.torque_cut_s is not None:
-            parts[-1] += f" (cut for {self.torque_cut_s:.2f} s)"
+            text += f" (cut for {self.torque_cut_s:.2f} s)"
         if self.torque_after_percent is not None:
-            parts.append(f"then {self.torque_after_percent:.0f} %")
-        speeds = f"{self.speed_before_rpm:.0f}"
+            text += f", then {self.torque_after_percent:.0f} %"
+        text += f", {self.speed_before_rpm:.0f}"
         if self.speed_after_rpm is not None:
-            speeds += f" to {self.speed_after_rpm:.0f}"
-        return f"engine {', '.join(parts)}, {speeds} rpm"
+            text += f" to {self.speed_after_rpm:.0f}"
+        return f"{text} rpm"
 
 
 class EngineTrace:

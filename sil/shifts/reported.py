@@ -7,7 +7,8 @@ project's own source address only. Layouts: SAE J1939-71, PGN 61442 and 61445.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from statistics import median
 from typing import Final, NamedTuple
 
@@ -179,11 +180,12 @@ class FlagTracker:
 
     def _ratio(self, begin_ns: int, end_ns: int) -> float | None:
         """Return the median ratio of the shafts, of samples with an output above 20 rpm."""
-        ratios = []
-        for data in (data for time_ns, data in self._samples if begin_ns <= time_ns < end_ns):
-            output, shaft_in = word_at(data, 1), word_at(data, 5)
-            if output is not None and shaft_in is not None and output >= 160:
-                ratios.append(shaft_in / output)
+        speeds = (
+            (word_at(data, 1), word_at(data, 5))
+            for time_ns, data in self._samples
+            if begin_ns <= time_ns < end_ns
+        )
+        ratios = [b / a for a, b in speeds if a is not None and b is not None and a >= 160]
         return median(ratios) if ratios else None
 
     def finish(self) -> None:
@@ -207,6 +209,11 @@ class GearRun:
     first_ns: int
     last_ns: int
     samples: int = 1
+
+    def extend(self, last_ns: int, samples: int = 1) -> None:
+        """Add samples up to a time."""
+        self.last_ns = last_ns
+        self.samples += samples
 
 
 class GearChange(NamedTuple):
@@ -237,21 +244,16 @@ class GearHistory:
         last = self.runs[-1] if self.runs else None
         same = last is not None and (last.current, last.selected) == (current, selected)
         if last is not None and same and time_ns >= last.last_ns:
-            last.last_ns = time_ns
-            last.samples += 1
+            last.extend(time_ns)
         elif len(self.runs) < 1_000_000:
             self.runs.append(GearRun(current, selected, time_ns, time_ns))
         return last is not None and not same
 
     def gear_before(self, time_ns: int) -> int | None:
         """Return the last valid current gear reported before a time."""
-        gear = None
-        for run in self.runs:
-            if run.first_ns > time_ns:
-                break
-            if run.current is not None:
-                gear = run.current
-        return gear
+        earlier = takewhile(lambda run: run.first_ns <= time_ns, self.runs)
+        gears = [run.current for run in earlier if run.current is not None]
+        return gears[-1] if gears else None
 
     def gear_after(self, time_ns: int, until_ns: int) -> int | None:
         """Return the current gear that a shift ended in.
@@ -261,16 +263,12 @@ class GearHistory:
         """
         limit_ns = min(time_ns + SETTLE_NS, until_ns)
         gear = None
-        for run in self.runs:
-            if run.last_ns < time_ns:
-                continue
-            if run.first_ns > limit_ns:
-                break
-            if run.current is None:
-                continue
-            gear = run.current
-            if run.selected is None or run.selected == run.current:
-                break
+        later = (run for run in self.runs if run.last_ns >= time_ns)
+        for run in takewhile(lambda run: run.first_ns <= limit_ns, later):
+            if run.current is not None:
+                gear = run.current
+                if run.selected in (None, gear):
+                    break
         return gear
 
     def changes(self) -> list[GearChange]:
@@ -290,9 +288,8 @@ class GearHistory:
                 if beyond.first_ns - there.first_ns < 2_000_000_000:
                     there, step = beyond, 2
             if here.current != there.current and here.last_ns <= there.first_ns:
-                changes.append(
-                    GearChange(here.last_ns, there.first_ns, here.current, there.current)
-                )
+                instants = here.last_ns, there.first_ns
+                changes.append(GearChange(*instants, here.current, there.current))
             index += step
         return changes
 
@@ -304,16 +301,14 @@ class GearHistory:
             if run.current is None:
                 continue
             if stays and stays[-1].current == run.current and run.first_ns >= stays[-1].last_ns:
-                stays[-1].last_ns = run.last_ns
-                stays[-1].samples += run.samples
+                stays[-1].extend(run.last_ns, run.samples)
                 continue
-            stays.append(GearRun(run.current, None, run.first_ns, run.last_ns, run.samples))
+            stays.append(replace(run, selected=None))
             if len(stays) < 3:
                 continue
             before, odd, after = stays[-3:]
             if odd.samples == 1 and odd.current != 0 and before.current == after.current:
                 self.chatter += 1
                 del stays[-2:]
-                before.last_ns = after.last_ns
-                before.samples += after.samples
+                before.extend(after.last_ns, after.samples)
         return stays

@@ -33,7 +33,7 @@ def require_no_difference(found: ReplayResult, log: Path) -> None:
     assert found.comparison.engaged and found.comparison.ticks >= 15
     assert not found.account.other
     for result in found.comparison.matched_edges():
-        assert not result.moved(0)
+        assert not result.lines(1)
 
 
 @pytest.mark.parametrize("name", SOME)

@@ -114,7 +114,6 @@ def test_shifts_are_reported_in_samples_and_ms_with_how_often() -> None:
         signal.take(1, 1000 * MS * k + 400 * MS, False)
     result = match_edges(signal, 200 * MS)
     assert result.lines(10 * MS) == ["valve B opens 3 samples (30 ms) later, twice out of 14"]
-    assert result.moved(0) and not result.moved(30 * MS)
 
 
 def test_a_lane_notes_changes_only_and_tells_what_is_gone_or_new() -> None:
