@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
+from can_dbc.errors import InputError, RunError, nearest, os_error_text
+
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 
 _STDOUT = "standard output"
@@ -195,8 +197,6 @@ def _main(arguments: list[str], watched: bool) -> int:
         return PASSED
     name = arguments[0]
     if name not in COMMANDS:
-        from can_dbc.errors import nearest
-
         listed = ", ".join([*near, "..."] if (near := nearest(name, COMMANDS)) else COMMANDS)
         refused = f"no command {_shortened(repr(name))}; expected one of {listed}"
         return _refuse("opc4", refused, arguments)
@@ -205,7 +205,6 @@ def _main(arguments: list[str], watched: bool) -> int:
     except ModuleNotFoundError as error:
         print(f"opc4 {name}: the library {error.name!r} is not installed", file=sys.stderr)
         return NOT_FINISHED
-    from can_dbc.errors import InputError
 
     try:
         parsed = parser(name, command).parse_args(arguments[1:])
@@ -257,8 +256,6 @@ def parser(name: str, command: Any) -> argparse.ArgumentParser:
 
 def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     """Run the command; report what a user can cause in one line and an exit code."""
-    from can_dbc.errors import InputError, RunError, os_error_text
-
     try:
         code: int = command.run(parsed)
         sys.stdout.flush()
@@ -303,7 +300,6 @@ def _settle(why: str | None) -> list[str]:
     results = sys.modules.get("sil.files.output_folder")  # not loaded: nothing was begun
     if results is None:
         return []
-    from can_dbc.errors import os_error_text
 
     try:
         notes: list[str] = results.close_folders(why)

@@ -16,6 +16,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from can_dbc.errors import InputError
 from sil.cli.options import JSON, SELECTION, argument
 from sil.files.quantity import counted
 
@@ -44,7 +45,6 @@ ARGUMENTS = (
 def run(arguments: argparse.Namespace) -> int:
     """Print; return 1 if a message may be too late.  Raises InputError for bad input."""
     from can_dbc.contract import DBC_PATH
-    from can_dbc.errors import InputError
     from sil.coupling import response_times
     from sil.coupling.clock import to_seconds
 

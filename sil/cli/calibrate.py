@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from can_dbc.errors import InputError
 from sil.cli.options import JSON, LAYOUT, argument
+from sil.files.progress import Progress
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
@@ -107,7 +108,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _of_campaign(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
-    from sil.files.progress import Progress
     from sil.inference.calibrate.calibration import calibrate
     from sil.inference.calibrate.output import strokes_figure
 
@@ -124,7 +124,6 @@ def _of_campaign(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
 
 def _of_logs(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
     from plant.parameters import load_actuator
-    from sil.files.progress import Progress
     from sil.inference.calibrate.logs import calibrate_truck, shifts_figure
     from sil.inference.truck.diagnosis import shifts_of_truck
 

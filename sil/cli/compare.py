@@ -10,6 +10,7 @@ import json
 import shlex
 from pathlib import Path
 
+from can_dbc.errors import InputError
 from sil.cli.options import JSON, argument, out
 
 ARGUMENTS = (
@@ -25,7 +26,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare and print; return the exit code. Raises InputError for what is not a finished run."""
     import msgspec
 
-    from can_dbc.errors import InputError
     from sil.cli.options import table_lines
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import close_folders, finite, prepare_folder

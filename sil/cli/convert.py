@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from can_dbc.errors import InputError
 from sil.cli.options import JSON, SELECTION, STRICT, TIMES, argument, reading
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Convert a log; return the exit code. Raises InputError for bad input."""
-    from can_dbc.errors import InputError
     from sil.j1939.decode import decode
     from sil.logs.convert import convert
 

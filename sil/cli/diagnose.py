@@ -23,6 +23,9 @@ from typing import Any
 
 from can_dbc.errors import InputError
 from sil.cli.options import EFFECTS, JSON, LAYOUT, argument, out
+from sil.files.atomic import write_atomically
+from sil.files.output_folder import finite, locked_folder, prepare_folder, without_parent_steps
+from sil.files.progress import Progress
 
 ARGUMENTS = (
     argument(
@@ -91,9 +94,6 @@ def run_campaigns(arguments: argparse.Namespace) -> int:
     stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load
     from sil.campaign.campaign import joined, load_campaign
-    from sil.files.atomic import write_atomically
-    from sil.files.output_folder import finite, prepare_folder
-    from sil.files.progress import Progress
     from sil.inference.campaign.diagnosis import diagnose
     from sil.inference.campaign.page import write_next, write_report
     from sil.inference.force.record import is_force_rig
@@ -127,7 +127,6 @@ def run_campaigns(arguments: argparse.Namespace) -> int:
 
 def new_campaign(arguments: argparse.Namespace) -> int:
     """Draft a campaign from measured files; print what they do not say. Raises InputError for bad files."""
-    from sil.files.output_folder import locked_folder, without_parent_steps
     from sil.inference.campaign.new_campaign import draft
 
     others = ("out", "map", "dbc", "model", "effects", "next")
@@ -160,7 +159,6 @@ def new_campaign(arguments: argparse.Namespace) -> int:
 
 def run_force(arguments: argparse.Namespace, campaign: str, stamps: list[str]) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if not consistent."""
-    from sil.files.output_folder import finite, prepare_folder
     from sil.inference.force.diagnosis import diagnose_motion
     from sil.inference.force.page import write_page
     from sil.inference.force.record import read_motion
@@ -178,8 +176,6 @@ def run_logs(arguments: argparse.Namespace) -> int:
 
     stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load_actuator
-    from sil.files.output_folder import finite, prepare_folder
-    from sil.files.progress import Progress
     from sil.inference.truck.diagnosis import judge, shifts_of_truck
     from sil.inference.truck.page import as_json, write_files
 
@@ -198,8 +194,6 @@ def run_logs(arguments: argparse.Namespace) -> int:
 
 def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) -> int:
     """Write diagnosis.json, print, and return the exit code."""
-    from sil.files.atomic import write_atomically
-
     text = json.dumps(found, indent=1, ensure_ascii=False)
     write_atomically(folder / "diagnosis.json", text + "\n")
     if arguments.json:

@@ -13,6 +13,7 @@ import argparse
 import json
 from pathlib import Path
 
+from can_dbc.errors import InputError, nearest
 from sil.cli.options import JSON, argument
 
 ARGUMENTS = (
@@ -25,7 +26,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """List or copy. Raises InputError for an example that is not there, or a file that is."""
-    from can_dbc.errors import InputError, nearest
     from sil.files.atomic import write_atomically
 
     shipped = Path(__file__).parent.parent / "examples"

@@ -12,6 +12,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from can_dbc.errors import InputError
 from sil.cli.options import JSON, NEW, argument, write_draft
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Write a draft, or check a firmware: 1 if its gear is not reached. Raises InputError and RunError."""
-    from can_dbc.errors import InputError
-
     if arguments.new is not None:
         if arguments.new.suffix == ".c":
             from sil.files.atomic import write_atomically

@@ -11,6 +11,7 @@ import argparse
 import os
 from pathlib import Path
 
+from can_dbc.errors import InputError
 from sil.cli.options import FIRMWARE, MODEL, SETTINGS, argument, say
 
 ARGUMENTS = (
@@ -26,7 +27,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the unit. Raises InputError for a file that cannot be written or a missing library."""
-    from can_dbc.errors import InputError
     from sil.files.extras import import_extra
     from sil.fmu.export import export
     from sil.simulation import load_scenario

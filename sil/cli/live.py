@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from can_dbc.errors import InputError
 from sil.cli.options import argument, say
 
 ARGUMENTS = (
@@ -31,7 +32,6 @@ def run(arguments: argparse.Namespace) -> int:
     import signal
     import webbrowser
 
-    from can_dbc.errors import InputError
     from can_dbc.user_file import resolved
     from sil.firmware.load import firmware_node
     from sil.live.server import Bench, serve

@@ -18,6 +18,7 @@ import signal
 import threading
 from pathlib import Path
 
+from can_dbc.errors import InputError
 from sil.cli.options import MODEL, SEED, SETTINGS, argument, say
 
 WAIT_S = 300.0  # the first start on a machine compiles the plant's equations
@@ -48,7 +49,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Take part in the run.  Raises InputError for bad input, RunError when the run ends early."""
-    from can_dbc.errors import InputError
     from sil.coupling.free_running import FreeNode, open_bus
     from sil.coupling.transports.link import open_link, take_part
     from sil.files.atomic import write_atomically

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from can_dbc.errors import InputError
+
 if TYPE_CHECKING:
     from sil.logs.merged import Reading
 
@@ -140,7 +142,6 @@ def write_draft(command: str, arguments: argparse.Namespace, then: str) -> int:
 
     Raises InputError for a suffix without a draft, and for a file that exists, without --force.
     """
-    from can_dbc.errors import InputError
     from sil.files.atomic import write_atomically
     from sil.files.overrides import toml_value
 

@@ -32,7 +32,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from can_dbc.errors import InputError
 from sil.cli.options import JSON, SELECTION, SETTINGS, STRICT, TIMES, argument, out, reading
+from sil.files.output_folder import close_folders, prepare_folder
 
 if TYPE_CHECKING:
     from sil.log_replay.replay import ReplayResult
@@ -82,8 +84,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay a log, or list its gear shifts. Raises InputError for options that exclude each other."""
-    from can_dbc.errors import InputError
-
     if arguments.summary:
         return _summary(arguments)
     if arguments.strategy is not None:
@@ -136,8 +136,6 @@ def _report(arguments: argparse.Namespace, outcome: ReplayResult | TruckReplay) 
 
 def _prepared(arguments: argparse.Namespace, name: str) -> Path:
     """Return the output folder, without the figures of a replay that --force replaces."""
-    from sil.files.output_folder import prepare_folder
-
     logs = [arguments.log, *arguments.more_logs]
     folder = prepare_folder(arguments.out, name, arguments.force, inputs=logs)
     for figure in folder.glob("*.*"):
@@ -149,7 +147,6 @@ def _prepared(arguments: argparse.Namespace, name: str) -> Path:
 
 def _complete(folder: Path, files: dict[str, str]) -> None:
     from sil.files.atomic import write_atomically
-    from sil.files.output_folder import close_folders
 
     for name, content in files.items():
         write_atomically(folder / name, content)
@@ -171,7 +168,6 @@ OWN_LOG_ONLY = ("run", "plant", "closed_loop", "against", "options")
 
 def _truck(arguments: argparse.Namespace) -> int | None:
     """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
-    from can_dbc.errors import InputError
     from sil.log_replay.truck_replay import replay_truck
 
     given = [name for name in OWN_LOG_ONLY if getattr(arguments, name)]
@@ -196,7 +192,6 @@ def _open(arguments: argparse.Namespace) -> Logs:
 
 
 def _summary(arguments: argparse.Namespace) -> int:
-    from can_dbc.errors import InputError
     from sil.j1939.summary import summarize
     from sil.shifts.reported import PGN_ETC1, PGN_ETC2
 

@@ -16,6 +16,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from can_dbc.errors import InputError, RunError
 from sil.cli.options import (
     EFFECTS,
     FIRMWARE,
@@ -30,6 +31,8 @@ from sil.cli.options import (
     say,
     write_draft,
 )
+from sil.files.atomic import write_atomically
+from sil.files.output_folder import close_folders, prepare_folder
 
 if TYPE_CHECKING:
     from sil.simulation.load_scenario import Loaded
@@ -83,8 +86,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the scenario and print its result. Raises InputError and RunError as the runner does."""
-    from can_dbc.errors import InputError
-
     if arguments.list:
         return _list()
     if arguments.new is not None:
@@ -95,7 +96,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
     if arguments.junit is not None:
         _check_junit(arguments.junit)
-    from sil.files.output_folder import prepare_folder
     from sil.firmware.load import in_module
     from sil.rules.user_file import load_rules
     from sil.simulation import load_scenario
@@ -146,8 +146,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _write_steps(loaded: Loaded, tick: int | None, folder: Path) -> None:
     """Write step `tick` (None: the last) of a firmware in C: break_TICK.c, opc4.h, and the state before it."""
-    from can_dbc.errors import InputError, RunError
-    from sil.files.atomic import write_atomically
     from sil.firmware.contract import header
     from sil.simulation.build import firmware_in_c
     from sil.simulation.loop import Loop, save
@@ -172,8 +170,6 @@ def _write_steps(loaded: Loaded, tick: int | None, folder: Path) -> None:
 
 def _check_instant(arguments: argparse.Namespace, loaded: Loaded) -> None:
     """Raise InputError unless a state can be saved at that instant of such a run."""
-    from can_dbc.errors import InputError
-
     at_s, end_s = arguments.save_at, loaded.scenario.duration_s
     if not 0.0 <= at_s < end_s:
         raise InputError(f"--save-at {at_s:g}: expected 0 to before the end, {end_s:g} s")
@@ -183,8 +179,6 @@ def _check_instant(arguments: argparse.Namespace, loaded: Loaded) -> None:
 
 def _continue(arguments: argparse.Namespace) -> int:
     """Run a saved state to its end. Raises InputError for another file, and with a scenario or values."""
-    from can_dbc.errors import InputError
-    from sil.files.output_folder import prepare_folder
     from sil.simulation.loop import load
     from sil.simulation.runner import resume
 
@@ -199,8 +193,6 @@ def _continue(arguments: argparse.Namespace) -> int:
 def _report(arguments: argparse.Namespace, finished: Finished, folder: Path) -> int:
     """Write page and JUnit file, print the result; return the exit code."""
     from sil.cli.run_summary import summary_lines
-    from sil.files.atomic import write_atomically
-    from sil.files.output_folder import close_folders
     from sil.simulation.results import as_json, junit_xml
 
     if not arguments.no_report and finished.result.complete:
@@ -225,8 +217,6 @@ def _report(arguments: argparse.Namespace, finished: Finished, folder: Path) -> 
 
 def _check_junit(path: Path) -> None:
     """Raise InputError if the file cannot be written."""
-    from can_dbc.errors import InputError
-
     problems = {
         "no such folder; expected one that exists": not path.parent.is_dir(),
         "is a folder; expected a file": path.is_dir(),

@@ -11,6 +11,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
+from can_dbc.errors import InputError
 from sil.cli.options import EFFECTS, JSON, SETTINGS, argument, out, say
 from sil.files.quantity import counted
 
@@ -30,7 +31,6 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, write the campaign folder, print one line a stroke. Raises InputError for bad input."""
-    from can_dbc.errors import InputError
     from can_dbc.user_file import resolved
     from plant.effects import overridden
     from plant.effects.user_file import load_effects

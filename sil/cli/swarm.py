@@ -17,7 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from can_dbc.errors import InputError
 from sil.cli.options import JSON, OWN_RULES, argument, out
+from sil.files.output_folder import close_folders, prepare_folder, reopen_folder
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
@@ -40,7 +42,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Hunt until the time or the number of runs is over; return the exit code. Raises InputError and RunError."""
     import msgspec
 
-    from sil.files.output_folder import close_folders
     from sil.files.progress import Progress
     from sil.files.worker import in_turn
     from sil.rules.user_file import load_rules
@@ -78,7 +79,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _base(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the table that every scenario is drawn around. Raises InputError."""
-    from can_dbc.errors import InputError
     from controller.config import FirmwareConfig
     from sil.firmware.load import IN_C, absolute, firmware_node, is_program
     from sil.simulation import load_scenario
@@ -109,9 +109,7 @@ def _base(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _folder(hunt: Hunt, arguments: argparse.Namespace) -> Path:
     """Return the folder to write; with --resume, the generations in it are taken over."""
-    from can_dbc.errors import InputError
     from sil.files.atomic import write_atomically
-    from sil.files.output_folder import prepare_folder, reopen_folder
     from sil.swarm.hunt import SWARM_FILE, stored_generations
 
     if arguments.resume:

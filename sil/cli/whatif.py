@@ -14,7 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from can_dbc.errors import InputError
 from sil.cli.options import EFFECTS, JSON, NEW, argument, out, write_draft
+from sil.files.output_folder import close_folders, finite, prepare_folder, reopen_folder
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
@@ -36,9 +38,7 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the rows, write table, summary, figures and page; return the exit code. Raises InputError and RunError."""
-    from can_dbc.errors import InputError
     from sil.files.atomic import write_atomically
-    from sil.files.output_folder import close_folders, finite
     from sil.files.progress import Progress
     from sil.studies.executor import run_study
     from sil.studies.load_study import load_study, shipped
@@ -86,8 +86,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _folder(study: Study, arguments: argparse.Namespace) -> Path:
     """Return the folder to write. Raises InputError if it cannot be used, naming --resume if that can."""
-    from can_dbc.errors import InputError
-    from sil.files.output_folder import prepare_folder, reopen_folder
     from sil.studies.executor import rows_to_resume
     from sil.studies.table import RESULTS
 

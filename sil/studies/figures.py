@@ -15,8 +15,7 @@ from sil.studies.design import SweptValue
 from sil.studies.study import Study, Table
 from sil.studies.table import read_metrics
 
-MAX_DOTS = 2000
-"""Of a larger study every so-many-th row is drawn as a dot; results.csv has them all."""
+MAX_DOTS = 2000  # of a larger study every so-many-th row is drawn as a dot
 
 
 class Metric(NamedTuple):
@@ -150,9 +149,8 @@ def _lines_over(study: Study, table: Table, sweep: SweptValue) -> Stack | None:
             if as_line:
                 levels = np.unique(at[rows])
                 values = [y[rows][at[rows] == level] for level in levels]
-                low, middle, high = (
-                    np.array([f(each) for each in values]) for f in (np.min, np.median, np.max)
-                )
+                ends = [(each.min(), np.median(each), each.max()) for each in values]
+                low, middle, high = np.array(ends).reshape(-1, 3).T
                 lines.append(Series(name, levels, middle, role, "marked", dashed))
                 if len(levels) < len(rows):
                     bands.append(Band(levels, low, high, role))

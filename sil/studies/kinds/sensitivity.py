@@ -46,15 +46,10 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
 
     def check(self, source: str) -> None:
         """Refuse conditions below their least value. Raises InputError."""
-        pairs: list[tuple[str, Setting | None]] = [
-            (sweep.path, value)
-            for sweep in self.sweep
-            for value in sweep.values or (sweep.low, sweep.high)
-        ]
-        pairs += [
-            pair for group in self.groups.values() for item in group for pair in item.set.items()
-        ]
-        for path, value in pairs:
+        swept = [(each.path, x) for each in self.sweep for x in each.values or each.ends]
+        choices = [choice for group in self.groups.values() for choice in group]
+        chosen = [pair for choice in choices for pair in choice.set.items()]
+        for path, value in (*swept, *chosen):
             group, _, name = path.partition(".")
             if group == "stroke":
                 typed_toml.convert({name: value}, RowConditions, source, "stroke")
@@ -123,8 +118,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
                 height=60 + 14 * len(labels),
             )
             axis = f"margin of the headline, {metric_of(headline.name).unit}"
-            if self.radial:
-                axis = "total Sobol index, 95 % interval"
+            axis = "total Sobol index, 95 % interval" if self.radial else axis
             stacks.append(Stack(axis, [panel], width=5.2))
         note = "blue: the headline holds over the whole range; red: it turns"
         return {"sensitivity": Figure(stacks, title_of(study), "" if self.radial else note)}
@@ -145,13 +139,12 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         for k, sweep in enumerate(self.sweep):
             over = f": {min(sweep.values):g} to {max(sweep.values):g}" if sweep.values else ""
             rows.append([f"{sweep.title}{over}", *(column[k] for column in columns)])
-        turns = ["**" in "".join(row) for row in rows]
         parts = {"turns a headline": True, "turns none": False}
-        for what, turning in (
-            {"total index (95 % interval)": False} if self.radial else parts
-        ).items():
+        if self.radial:
+            parts = {"total index (95 % interval)": False}
+        for what, turning in parts.items():
             head = [what, *map(str, range(1, len(columns) + 1))]
-            chosen = [row for row, turn in zip(rows, turns, strict=True) if turn == turning]
+            chosen = [row for row in rows if ("**" in "".join(row)) == turning]
             lines += ["", *markdown(head, chosen)]
         lines += ["", "Not varied:", ""]
         lines += [f"- {', '.join(paths)}: {reason}" for reason, paths in NOT_VARIED.items()]
