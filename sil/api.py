@@ -81,11 +81,8 @@ def run(
     from sil.simulation import load_scenario
     from sil.simulation.in_memory import run_in_memory
 
-    options: dict[str, Any] = {
-        "model": None if model is None else str(model),
-        "settings": settings,
-        "seed": seed,
-    }
+    chosen = None if model is None else str(model)
+    options: dict[str, Any] = {"model": chosen, "settings": settings, "seed": seed}
     if isinstance(scenario, Mapping):
         loaded = load_scenario.from_table(scenario, "scenario", **options)
     else:
@@ -179,8 +176,5 @@ def replay(
     from sil.log_replay.replay import ReplayRequest
     from sil.log_replay.replay import replay as replayed
 
-    return replayed(
-        ReplayRequest(
-            log=str(log), settings=settings, firmware=None if firmware is None else str(firmware)
-        )
-    )
+    program = None if firmware is None else str(firmware)
+    return replayed(ReplayRequest(log=str(log), settings=settings, firmware=program))

@@ -41,9 +41,8 @@ def pytest_configure(config: pytest.Config) -> None:
         except (NotImplementedError, ValueError) as error:
             raise pytest.UsageError(f"{PATTERNS}: {pattern}: {error}") from None
         if not matching:
-            raise pytest.UsageError(
-                f"{PATTERNS}: {pattern}: no such file in {config.rootpath}; expected one at least"
-            )
+            what = f"no such file in {config.rootpath}; expected one at least"
+            raise pytest.UsageError(f"{PATTERNS}: {pattern}: {what}")
         files |= matching
     config.stash[FILES] = files
 
@@ -78,13 +77,11 @@ class ScenarioItem(pytest.Item):
 
         loaded = load_scenario.load(str(self.path))
         out = self.config.getoption(OUT)
-        checks = (
-            run_in_memory(loaded).checks
-            if out is None
-            else _recorded(loaded, Path(out, self.nodeid.split("::")[0]).with_suffix(""))
-        )
-        failed = [c for c in checks if not c.passed]
-        if failed:
+        if out is None:
+            checks = run_in_memory(loaded).checks
+        else:
+            checks = _recorded(loaded, Path(out, self.nodeid.split("::")[0]).with_suffix(""))
+        if failed := [check for check in checks if not check.passed]:
             raise Unmet("\n".join(map(str, failed)))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:

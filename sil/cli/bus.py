@@ -154,9 +154,8 @@ def _print(figures: dict[str, Any]) -> None:
         print("  no CAN interface on this machine")
     for name in transports["local_runs"]:
         print(f"  a run listens on local:{name}")
-    print(
-        f"bus: {figures['bitrate']} bit/s, {100 * figures['worst_case_load']:.1f} % loaded at worst"
-    )
+    percent = 100 * figures["worst_case_load"]
+    print(f"bus: {figures['bitrate']} bit/s, {percent:.1f} % loaded at worst")
     for note in figures["notes"]:
         print(f"  {note}")
     width = max(18, *(len(m["name"]) for m in figures["messages"]))

@@ -67,15 +67,13 @@ def run(arguments: argparse.Namespace) -> int:
     write_atomically(out, model_text(result))
     write_page(result, figure, page, shlex.join(["opc4", *sys.argv[1:]]))
     if arguments.json:
-        names = ("rms_over_noise", "noise", "discrepancy", "correlation_time_s")
+        keys = ("rms_over_noise", "noise", "discrepancy", "correlation_time_s")
         table = {
             "campaign": result.name,
             "good": result.good,
             "headline": result.headline,
             "channels": {
-                name: dict(
-                    zip(names, (x.misfit.rms, x.noise, x.discrepancy, x.time_s), strict=True)
-                )
+                name: dict(zip(keys, (x.misfit.rms, x.noise, x.discrepancy, x.time_s), strict=True))
                 for name, x in result.channels.items()
             },
             "values": {

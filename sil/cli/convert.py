@@ -44,9 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.logs.convert import convert
 
     if arguments.target == "-" and arguments.json:
-        raise InputError(
-            "--json: not with OUT -, which is standard output too; expected one of them"
-        )
+        what = "not with OUT -, which is standard output too; expected one of them"
+        raise InputError(f"--json: {what}")
     path = Path(arguments.target)
     if path.exists() and not path.is_fifo() and not arguments.force:
         raise InputError(f"{arguments.target}: exists; expected a new name, or --force")

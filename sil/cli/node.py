@@ -63,9 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     def notify(message: str) -> None:
         say(f"opc4 node: {message}")
 
-    loaded = load_scenario.load(
-        arguments.scenario, model=arguments.model, settings=arguments.settings, seed=arguments.seed
-    )
+    model, settings, seed = arguments.model, arguments.settings, arguments.seed
+    loaded = load_scenario.load(arguments.scenario, model=model, settings=settings, seed=seed)
     duration_s: float | None = arguments.duration
     if duration_s is not None and not (arguments.realtime and 0.0 < duration_s <= 86400.0):
         raise InputError(f"--duration: {duration_s}; expected 0 to 86400 s, and --realtime")

@@ -289,8 +289,9 @@ class FaultPlan:
                     )
                 self._by_fault[index] = selection
         # Error frames first: what they hit does not arrive yet, so nothing else can happen to it.
+        selections = self._by_fault.values()
         self._selections = sorted(
-            self._by_fault.values(), key=lambda s: not isinstance(s.fault, DetectedCorruption)
+            selections, key=lambda s: not isinstance(s.fault, DetectedCorruption)
         )
 
     @property

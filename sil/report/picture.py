@@ -246,9 +246,8 @@ def _spans(axes: Axes, spans: Sequence[Span], width: float) -> None:
             continue
         a, b = max(span.start, left), min(span.end, right)
         bottom, top = max(span.low, low), min(span.high, high)
-        looks.setdefault((span.role, span.style, isfinite(span.low)), []).append(
-            [(a, bottom), (a, top), (b, top), (b, bottom)]
-        )
+        look = span.role, span.style, isfinite(span.low)
+        looks.setdefault(look, []).append([(a, bottom), (a, top), (b, top), (b, bottom)])
         if span.label:
             labels.append((span, a, b))
     for (role, style, is_bounded), corners in looks.items():

@@ -24,6 +24,7 @@ from sil.simulation.scenario import Scenario
 def circumstances(scenario: Scenario) -> Circumstances:
     """Return what the rules may know of a run of this scenario."""
     faults = scenario.fault
+    of_controller = [f for f in faults if getattr(f, "node", "") == "controller"]
     kinds = [fault.kind for fault in scenario.sensor_fault]
     kinds += [fault.kind for fault in scenario.temperature_fault]
     repeats = any(isinstance(f, Replayed) and f.message == "PositionPulse" for f in faults)
@@ -50,9 +51,7 @@ def circumstances(scenario: Scenario) -> Circumstances:
             or (isinstance(f, BusOff | OtherBitRate) and f.node in ("controller", "plant"))
         ),
         disturbed=bool(faults) or scenario.bus.extra_load > 0.0,
-        deaf_s=tuple(
-            _interval_s(f) for f in faults if isinstance(f, OtherBitRate) and f.node == "controller"
-        ),
+        deaf_s=tuple(_interval_s(f) for f in of_controller if isinstance(f, OtherBitRate)),
         forced=bool(scenario.valve_fault),
         slow_clock=1.0 / (1.0 + 1e-6 * scenario.clock.controller_ppm),
     )

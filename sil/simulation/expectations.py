@@ -126,9 +126,8 @@ class Observed:
         self._rules = rules
         self.violations: dict[str, Violation] = {}
         self.stroke_m = math.nan
-        self.counts: dict[type, int] = dict.fromkeys(
-            (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion), 0
-        )
+        kinds = (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion)
+        self.counts: dict[type, int] = dict.fromkeys(kinds, 0)
         self.opened: set[str] = set()
         self.valves_off = True
         self.position_m = 0.0

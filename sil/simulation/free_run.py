@@ -252,8 +252,7 @@ def jitter_lines(figures: dict[str, Any]) -> list[str]:
             lines.append(f"  {m['name']}: {counted(m['frames'], 'frame')}")
             continue
         off = [f"{q} {1e3 * m[f'jitter_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
-        lost = f", {m['missing']} missing" if m["missing"] else ""
-        lines.append(
-            f"  {m['name']} every {1e3 * m['period_s']:g} ms: {counted(m['frames'], 'frame')}{lost}, {', '.join(off)}"
-        )
+        lost = [f"{m['missing']} missing"] if m["missing"] else []
+        figures_of = ", ".join([counted(m["frames"], "frame"), *lost, *off])
+        lines.append(f"  {m['name']} every {1e3 * m['period_s']:g} ms: {figures_of}")
     return lines

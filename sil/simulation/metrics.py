@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import Any
 
 import msgspec
@@ -215,7 +216,8 @@ def shift_figures(
     early = None
     if confirmed is not None:
         early = max((until if arrived is None else arrived) - confirmed, 0.0)
-    duty = f"duty_{letter.lower()}"
+    is_open = attrgetter(f"duty_{letter.lower()}")
+    commanded = _first(record, ValveCommand, start, until, lambda m: is_open(m) > OPEN_ABOVE)
     name = f"valve_{letter}_open"
     opened = (e.time_s for e in record.events if e.name == name and start <= e.time_s <= until)
     frames = record.of(SafetyBlow)
@@ -228,9 +230,7 @@ def shift_figures(
         from_gear=source.name.lower(),
         to_gear=target.name.lower(),
         requested_s=start,
-        commanded_s=_first(
-            record, ValveCommand, start, until, lambda m: getattr(m, duty) > OPEN_ABOVE
-        ),
+        commanded_s=commanded,
         valve_open_s=next(opened, None),
         first_motion_s=first_motion,
         arrived_s=arrived,

@@ -62,18 +62,15 @@ def load_study(
 
 def _check_baseline(file: StudyFile, source: str) -> None:
     """Refuse a baseline that no row has. Raises InputError naming key and value."""
-    values: dict[str, list[str]] = {
-        name: [choice.name for choice in choices] for name, choices in file.groups.items()
-    }
-    for sweep in () if file.design.is_drawn else file.sweep:
-        values[sweep.path] = list(map(str, sweep.levels()))
+    sweeps = () if file.design.is_drawn else file.sweep
+    values = {name: [each.name for each in choices] for name, choices in file.groups.items()}
+    values |= {sweep.path: list(map(str, sweep.levels())) for sweep in sweeps}
     for key, value in file.baseline.items():
         if key not in values:
             raise InputError(f"{source}: baseline.{key}: {unknown_name(key, values)}")
         if str(value) not in values[key]:
-            raise InputError(
-                f"{source}: baseline.{key}: {value!r}; expected one of {', '.join(values[key])}"
-            )
+            expected = ", ".join(values[key])
+            raise InputError(f"{source}: baseline.{key}: {value!r}; expected one of {expected}")
 
 
 def read_file(table: dict[str, Any], source: str) -> StudyFile:

@@ -42,6 +42,9 @@ def write_page(
         ],
         again=again,
     )
+    row_again = ""
+    if isinstance(study.file, RunsStudy):
+        row_again = f"opc4 run {study.file.scenario} --set PATH=VALUE ..."
     figures = study.file.draw(study, table)
     heads, rows = shown_rows(study, table)
     page = render(
@@ -61,9 +64,7 @@ def write_page(
         "the median of each group, in brackets least to greatest.",
         heads=heads,
         rows=[] if safety else rows,
-        row_again=f"opc4 run {study.file.scenario} --set PATH=VALUE ..."
-        if isinstance(study.file, RunsStudy)
-        else "",
+        row_again=row_again,
     )
     write_atomically(folder / "report.html", page)
 
@@ -82,9 +83,8 @@ def shown_rows(study: Study, table: Table) -> tuple[list[str], list[list[str]]]:
     head = [""]
     for name in metrics:
         head += [metric_of(name).axis] + ([] if baseline is None else ["difference"])
-    return head, [
-        [label or "all", *_cells(table, baseline, metrics, rows)] for label, rows in groups.items()
-    ]
+    cells = {label: _cells(table, baseline, metrics, rows) for label, rows in groups.items()}
+    return head, [[label or "all", *texts] for label, texts in cells.items()]
 
 
 def _cells(
@@ -97,9 +97,8 @@ def _cells(
         if not len(values):
             yield from ("none",) if baseline is None else ("none", "")
             continue
-        middle, least, greatest = (
-            f"{x:.4g}" for x in (np.median(values), values.min(), values.max())
-        )
+        figures = np.median(values), values.min(), values.max()
+        middle, least, greatest = (f"{x:.4g}" for x in figures)
         yield middle if least == greatest else f"{middle} ({least} to {greatest})"
         if baseline is not None:
             column = table.numbers[name]

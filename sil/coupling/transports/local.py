@@ -81,9 +81,8 @@ class LocalBus(can.BusABC):
         except OSError as error:
             raise can.CanOperationError(f"{self.channel_info}: {error.strerror}") from None
         if length == 0:
-            self._failure = self._failure or (
-                "the run closed the connection: it was killed, or this program did not read"
-            )
+            why = "it was killed, or this program did not read"
+            self._failure = self._failure or f"the run closed the connection: {why}"
         with memoryview(self._buffer) as view:
             for can_id, payload in wire.split(view[:length]):
                 self._take(can_id, payload)

@@ -263,9 +263,8 @@ def softest_alone(
     others: Sequence[SearchProgress] = (),
 ) -> SearchProgress:
     """Return the softest policy that CMA-ES finds under one load, known in advance; others: to begin with."""
-    problem = BoundProblem(
-        parameters, timing, 1.0, [mesh_n], impulses_n_s=(impulse_n_s, impulse_n_s)
-    )
+    ends_n_s = impulse_n_s, impulse_n_s
+    problem = BoundProblem(parameters, timing, 1.0, [mesh_n], impulses_n_s=ends_n_s)
     progress = SearchProgress()
     for _ in range(4):
         progress = problem.cma(progress, evaluations // 4, [progress, *others])

@@ -155,14 +155,12 @@ class BoundsStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="b
                 rows = order[((loads == mesh) & (names == valves))[order]]
                 x, y = MS * numbers["delay_s"][rows], numbers["worst_m_s"][rows]
                 lines.append(Series(valves, x, y, f"series{k}", "marked"))
+            hardest = {name: float(np.fmax.reduce(x[loads == mesh])) for name, x in numbers.items()}
             rules = [
-                Rule(
-                    float(np.fmax.reduce(numbers[name][loads == mesh])), text, "ink", "y", "dashed"
-                )
-                for name, text in COLUMNS.items()
-                if name in ("open_m_s", "damper_m_s")
+                Rule(hardest[name], COLUMNS[name], "ink", "y", "dashed")
+                for name in ("open_m_s", "damper_m_s")
             ]
-            known = np.full(table.size, np.fmax.reduce(numbers["known_m_s"][loads == mesh]))
+            known = np.full(table.size, hardest["known_m_s"])
             x = MS * numbers["delay_s"][order]
             lines.append(Series(COLUMNS["known_m_s"], x, known, "ink", dashed=True))
             panel = Panel("Hardest stop", "m/s", lines, rules=rules, limits=(0.0, 1.6))
@@ -270,8 +268,7 @@ def write_campaign(folder: Path, problem: BoundProblem, policy: SearchProgress) 
     campaign = Campaign(folder, folder.name, "length", *air, 1000.0, strokes=tuple(strokes))
     write_atomically(folder / "campaign.toml", campaign_toml(campaign, strokes))
     delays = zip(("D_rise", "D_fall"), problem.timing, strict=True)
-    lines = [
-        f'{name} = {{ value = {s}, unit = "s", source = "study bounds" }}' for name, s in delays
-    ]
+    form = '{} = {{ value = {}, unit = "s", source = "study bounds" }}'
+    lines = [form.format(*each) for each in delays]
     text = "\n".join(["[base]", 'model = "nominal"', "", "[valve]", *lines])
     write_atomically(folder / "model.toml", text + "\n")

@@ -128,9 +128,8 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
         """Simulate a stroke; settings stroke.* change its table, all others the model."""
         changes = {path[7:]: x for path, x in settings.items() if path.startswith("stroke.")}
         model = {path: x for path, x in settings.items() if not path.startswith("stroke.")}
-        table = typed_toml.convert(
-            msgspec.to_builtins(self.stroke) | changes, StudyStroke, key="stroke"
-        )
+        values = msgspec.to_builtins(self.stroke) | changes
+        table = typed_toml.convert(values, StudyStroke, key="stroke")
         parameters = overridden(load(self.model), model)
         if table.final_volume_m3 is not None:
             swept_m = parameters.value("length.x_free_total") + parameters.value("length.stroke")

@@ -143,9 +143,8 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         strategy = strategy_of(row.settings)
         hardware = {k: v for k, v in row.settings.items() if k != "controller.strategy"}
         damped = hardware | {"plant.damper": "compressible"}
-        cases, damped_cases = (
-            [{**each, **load.set} for load in self.load] for each in (hardware, damped)
-        )
+        cases = [{**hardware, **load.set} for load in self.load]
+        damped_cases = [{**damped, **load.set} for load in self.load]
         reference, damper = (
             [run_case(study.loaded, "open_loop", {}, case) for case in each]
             for each in (cases, damped_cases)
