@@ -8,9 +8,9 @@ from pathlib import Path
 from can_dbc.typed_toml import convert
 from sil.cli.options import table_lines
 from sil.files.quantity import counted
-from sil.simulation.fault_marks import fault_lines
 from sil.simulation.metrics import Shift
 from sil.simulation.runner import Finished
+from sil.simulation.safety import fault_lines
 from sil.simulation.scenario import Scenario
 
 SHIFTS_PRINTED = 12

@@ -39,8 +39,7 @@ from sil.simulation import load_scenario
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.inputs import named_files
 from sil.simulation.load_scenario import Loaded
-from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded
-from sil.simulation.scenario_text import scenario_toml
+from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded, scenario_toml
 
 if TYPE_CHECKING:
     import can

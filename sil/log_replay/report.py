@@ -34,7 +34,7 @@ from sil.report.picture import save
 from sil.report.plots import PlotGroup, plots
 from sil.report.run_figure import with_faults
 from sil.report.shell import Head, Picture, render
-from sil.simulation.fault_marks import fault_spans
+from sil.simulation.safety import fault_spans
 
 MOST_STATES_SHOWN = 60
 

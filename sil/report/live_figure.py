@@ -14,8 +14,8 @@ from sil.report.run_figure import (
     states_panel,
     with_faults,
 )
-from sil.simulation.fault_marks import detections, fault_spans
 from sil.simulation.in_memory import Run
+from sil.simulation.safety import detections, fault_spans
 
 
 def comparison_stack(before: Run, after: Run) -> Stack:

@@ -25,8 +25,8 @@ from sil.report.figure import (
     Zoom,
     spans_of,
 )
-from sil.simulation.fault_marks import FaultSpan, detections
 from sil.simulation.metrics import Shift
+from sil.simulation.safety import FaultSpan, detections
 
 SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
 STATES = "Firmware state"

@@ -17,9 +17,9 @@ from sil.report.picture import save
 from sil.report.plots import PlotGroup, plots
 from sil.report.run_figure import run_figure
 from sil.report.shell import Head, Picture, render
-from sil.simulation.fault_marks import fault_spans
 from sil.simulation.metrics import METRICS
 from sil.simulation.results import Result
+from sil.simulation.safety import fault_spans
 from sil.simulation.scenario import Scenario
 
 if TYPE_CHECKING:

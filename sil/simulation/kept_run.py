@@ -19,8 +19,8 @@ from sil.files.output_folder import RESULT
 from sil.recording.recorder import EVENTS
 from sil.recording.run_reader import event_of
 from sil.recording.run_record import CHAMBERS, Floats
-from sil.simulation.fault_marks import FaultSpan, fault_spans
 from sil.simulation.metrics import METRICS, Shift
+from sil.simulation.safety import FaultSpan, fault_spans
 from sil.simulation.scenario import Scenario
 
 MOST_BYTES = 1 << 30  # the largest file of a run that is read

@@ -1,6 +1,6 @@
-"""Safety figures of a run with faults: detection, end state, and how long it was unsafe.
+"""Faults of a run: when they act, what the controller reported, and the safety figures.
 
-The rules that they measure, and their limits: `sil.rules.shipped`.
+The rules that these measure, and their limits: `sil.rules.shipped`.
 Checked by: tests/unit/sil/simulation/test_safety.py, tests/faults/
 """
 
@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from functools import reduce
 from operator import or_
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from can_dbc.messages import ControllerStatus, Fault, Gear
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
+from sil.files.quantity import quantity
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import longest_run
 from sil.rules.reports import REPORT_HOLDS_S, accepted, falsely_reported
@@ -36,8 +38,7 @@ def fault_start_s(scenario: Scenario) -> float:
     clock = scenario.clock
     if scenario.bus.extra_load or clock.controller_ppm or clock.driver_ppm:
         return 0.0
-    faults = (fault for table in FAULT_TABLES for fault in getattr(scenario, table))
-    return min((fault.start_s for fault in faults), default=math.inf)
+    return min((span.start_s for span in fault_spans(scenario)), default=math.inf)
 
 
 def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
@@ -100,3 +101,56 @@ def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
 
 def _step_s(record: RunRecord) -> float:
     return float(np.median(np.diff(record.truth["time_s"])))
+
+
+class FaultSpan(NamedTuple):
+    """A fault of the scenario: its name, and from when to when it acts in s; None: for good."""
+
+    name: str
+    start_s: float
+    end_s: float | None
+
+
+def fault_spans(scenario: Scenario) -> list[FaultSpan]:
+    """Return the faults of a scenario in order of their start."""
+    spans = [
+        FaultSpan(_name(table, fault), fault.start_s, fault.end_s)
+        for table in FAULT_TABLES
+        for fault in getattr(scenario, table)
+    ]
+    return sorted(spans, key=lambda span: span.start_s)
+
+
+def _name(table: str, fault: Any) -> str:
+    """Return e.g. "loss PositionPulse", "valve stuck open B"."""
+    kind = str(fault.kind if hasattr(fault, "kind") else fault.__struct_config__.tag)
+    where = [str(getattr(fault, key, "")) for key in ("message", "node", "valve")]
+    device = "" if table == "fault" else table.removesuffix("_fault")
+    return " ".join(filter(None, [device, kind.replace("_", " "), *where]))
+
+
+def detections(record: RunRecord) -> list[tuple[float, str]]:
+    """Return when the controller first reported each fault, in s, and its name."""
+    reported, first = Fault.NONE, []
+    for entry, message in record.of(ControllerStatus):
+        for fault in Fault:
+            if fault and fault in message.faults and fault not in reported:
+                first.append((entry.arrival_ns / NS_PER_S, str(fault.name)))
+        reported |= message.faults
+    return first
+
+
+def fault_lines(record: RunRecord, scenario: Scenario) -> list[str]:
+    """Return a line for each fault of the scenario, and for each that the controller reported."""
+    lines = []
+    for span in fault_spans(scenario):
+        end = "on" if span.end_s is None else f"to {quantity(span.end_s, 's')}"
+        lines.append(f"fault: {span.name}, from {quantity(span.start_s, 's')} {end}")
+    start_s = fault_start_s(scenario)
+    reported = detections(record)
+    for at_s, name in reported:
+        line = f"controller reports {name} at {quantity(at_s, 's')}"
+        if at_s >= start_s:
+            line += f", {quantity(at_s - start_s, 's', 3)} after the first fault began"
+        lines.append(line)
+    return lines if reported or not lines else [*lines, "the controller reported no fault"]

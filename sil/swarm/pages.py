@@ -21,7 +21,7 @@ from sil.report.run_figure import run_figure
 from sil.report.shell import Head, Picture, render
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import from_table
-from sil.simulation.scenario_text import scenario_toml
+from sil.simulation.scenario import scenario_toml
 from sil.swarm.hunt import Failure, Hunt, size_of
 
 FAILURES, TAKEN = "failures", "transitions"

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from sil.simulation import load_scenario, runner
-from sil.simulation.fault_marks import fault_spans
 from sil.simulation.in_memory import run_in_memory
+from sil.simulation.safety import fault_spans
 from tests.scenarios.conftest import ShippedRun
 
 NAMES = sorted(load_scenario.shipped())

@@ -66,10 +66,9 @@ class Peer:
             self._release_ns = control.value
         elif control.kind == Kind.DONE:
             if control.extra != len(self.frames) & 0xFF:
-                raise self._against_rules(
-                    f"offered {control.extra} frames (modulo 256), {len(self.frames)} arrived: "
-                    "the channel lost frames, or another program sent some"
-                )
+                what = f"offered {control.extra} frames (modulo 256), {len(self.frames)} arrived"
+                why = "the channel lost frames, or another program sent some"
+                raise self._against_rules(f"{what}: {why}")
             self.done = control.value
             self.granted_ns = None
         elif control.kind == Kind.FAILED:

@@ -25,6 +25,7 @@ _SO_RXQ_OVFL = 40
 _RECEIVE_BUFFER_BYTES = 8 << 20
 _REMOTE_FRAME = 0x4000_0000
 _FULL_QUEUE_WAIT_S = 2.0
+EXPECTED = "expected inproc, local, local:NAME, or the name of a CAN interface"
 UNREAD_WINDOW = 256
 """Records that may wait unread for a participant; a default receive buffer holds about 400."""
 
@@ -44,10 +45,8 @@ class CanSocket:
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:
-            raise InputError(
-                f"channel {interface!r}: this kernel has no SocketCAN ({error.strerror}); "
-                "expected inproc, local, local:NAME, or the name of a CAN interface"
-            ) from None
+            what = f"this kernel has no SocketCAN ({error.strerror})"
+            raise InputError(f"channel {interface!r}: {what}; {EXPECTED}") from None
         try:
             packed = b"".join(struct.pack("=II", *entry) for entry in filters)
             self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
@@ -60,10 +59,8 @@ class CanSocket:
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
-            raise InputError(
-                f"channel {interface!r}: {error.strerror}; expected inproc, local, local:NAME, "
-                "or the name of a CAN interface that is up"
-            ) from None
+            what = f"{error.strerror}; {EXPECTED} that is up"
+            raise InputError(f"channel {interface!r}: {what}") from None
 
     def fileno(self) -> int:
         """Return the socket's descriptor."""
@@ -84,10 +81,8 @@ class CanSocket:
             if error.errno not in (errno.ENOBUFS, errno.EAGAIN):
                 raise RunError(f"channel {self.interface!r}: {error.strerror}") from None
             if time.monotonic() > deadline:
-                raise RunError(
-                    f"channel {self.interface!r}: took no frame for "
-                    f"{_FULL_QUEUE_WAIT_S:g} s ({error.strerror})"
-                ) from None
+                what = f"took no frame for {_FULL_QUEUE_WAIT_S:g} s ({error.strerror})"
+                raise RunError(f"channel {self.interface!r}: {what}") from None
             return False
         return True
 

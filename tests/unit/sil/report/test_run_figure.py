@@ -13,9 +13,9 @@ from sil.recording.run_record import PlantEvent
 from sil.report.picture import draw, save
 from sil.report.run_figure import SILENT, run_figure, state_spans, valve_spans
 from sil.simulation import metrics
-from sil.simulation.fault_marks import fault_lines, fault_spans
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load
+from sil.simulation.safety import fault_lines, fault_spans
 from tests.support import made_run
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from sil.simulation.expectations import Expectations
 from sil.simulation.load_scenario import from_table, load, shipped
-from sil.simulation.scenario_text import scenario_toml
+from sil.simulation.scenario import scenario_toml
 
 
 @pytest.mark.parametrize("name", sorted(shipped()))
