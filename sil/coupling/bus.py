@@ -89,7 +89,7 @@ _Ready = tuple[int, int, int, Frame, str, int]
 class BusModel:
     """A CAN bus in simulated time; the module docstring states the model.
 
-    bitrate: bit/s, a bit lasting whole ns. capacity: frames that a sender may have waiting, None for no
+    bitrate: bit/s, a bit lasting whole ns, or it raises InputError. capacity: frames that a sender may have waiting, None for no
     limit. mailboxes: identifiers of which only the newest content of a sender waits.
     """
 
@@ -101,7 +101,6 @@ class BusModel:
         capacity: int | None = None,
         mailboxes: Container[int] = (),
     ) -> None:
-        """Make an idle bus.  Raises InputError for a bit rate without a bit of whole ns."""
         if not 10_000 <= bitrate <= 1_000_000 or NS_PER_S % bitrate:
             raise InputError(
                 f"bus: bitrate: {bitrate} bit/s; expected 10000 to 1000000 with a bit of whole ns, "

@@ -261,10 +261,9 @@ class MisfitNode:
 
 
 class FaultPlan:
-    """All faults of one run, for the bus model and the coordinator."""
+    """All faults of one run, for bus model and coordinator. Raises InputError for an impossible one."""
 
     def __init__(self, faults: Sequence[BusFault], seed: int) -> None:
-        """Take the faults.  Raises InputError naming one that is impossible."""
         self._by_fault: dict[int, _Selection] = {}
         self._off: list[tuple[str, Window]] = []
         self._misfits: list[MisfitNode] = []

@@ -25,7 +25,7 @@ VIRIDIS = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5
 class Series:
     """A named line or set of points.
 
-    x, y: [n] each, in the axes' units, x ascending; a NaN in y interrupts a line.
+    x, y: [n] each (else ValueError), in the axes' units, x ascending; a NaN in y interrupts a line.
     role: a colour of the theme or "#rrggbb". width: of the line in points.
     style: "stepped" holds each value until the next x, "sampled" too, with a point at each x; "dots"
     has points only; "marked" has a line and points.
@@ -40,7 +40,6 @@ class Series:
     width: float = 1.5
 
     def __post_init__(self) -> None:
-        """Refuse x and y of different length. Raises ValueError."""
         if len(self.x) != len(self.y):
             raise ValueError(f"{self.label}: {len(self.y)} values for {len(self.x)} points")
 

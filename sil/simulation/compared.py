@@ -55,9 +55,8 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
 
 def signed(difference: float | None, unit: str) -> str:
     """Return a difference with its sign and unit, empty for None."""
-    if difference is None:
-        return ""
-    return ("+" if difference > 0.0 else "") + quantity(difference, unit, 3)
+    sign = "+" if difference is not None and difference > 0.0 else ""
+    return "" if difference is None else sign + quantity(difference, unit, 3)
 
 
 def metric_rows(runs: Sequence[Mapping[str, Any]]) -> list[MetricRow]:

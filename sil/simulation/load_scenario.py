@@ -22,8 +22,6 @@ from sil.simulation.scenario import FirmwareTable, Scenario, check_consistent
 if TYPE_CHECKING:
     from plant.parameters import ParameterSet
 
-SHIPPED = Path(__file__).parent / "scenarios"
-
 
 @dataclass(frozen=True)
 class Loaded:
@@ -36,7 +34,8 @@ class Loaded:
 
 def shipped() -> dict[str, Path]:
     """Return the scenarios that come with the package, by name."""
-    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+    folder = Path(__file__).parent / "scenarios"
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 class Overrides(TypedDict, total=False):
@@ -141,12 +140,9 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
     if isinstance(firmware := raw.get("firmware"), dict):
         limits = typed_toml.convert(firmware, FirmwareTable, source, key="firmware")
         raw["firmware"] = limits.file
-        for name, limit in (
-            ("firmware_instructions", limits.max_instructions),
-            ("firmware_stack_bytes", limits.max_stack_bytes),
-        ):
-            if limit is not None:
-                _inside(raw, "expect", "metrics")[name] = {"max": limit}
+        for name in ("instructions", "stack_bytes"):
+            if (limit := getattr(limits, f"max_{name}")) is not None:
+                _inside(raw, "expect", "metrics")[f"firmware_{name}"] = {"max": limit}
     if isinstance(model := raw.get("model"), dict):
         raw["model"] = without_units(dict(_flat(model, source, "")), source, unit_of_path)
     raw.update(without_units(raw, source))

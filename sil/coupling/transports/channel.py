@@ -115,14 +115,13 @@ class Channel(ABC):
 
 
 class InProcess(Channel):
-    """A `Channel` to participants in this process."""
+    """A `Channel` in this process; received: identifiers by participant, one that is absent gets all."""
 
     def __init__(
         self,
         participants: Sequence[Participant],
         received: Mapping[str, Container[int]] = MappingProxyType({}),
     ) -> None:
-        """Take the participants; received: identifiers by participant, one that is absent gets all."""
         super().__init__([participant.name for participant in participants])
         self._participants = {participant.name: participant for participant in participants}
         self._inboxes: dict[str, list[tuple[int, Frame]]] = {name: [] for name in self.names}

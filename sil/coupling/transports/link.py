@@ -23,15 +23,13 @@ START_TIMEOUT_S = 60.0
 
 
 class LocalLink:
-    """The link to a `Hub`."""
+    """The link to a `Hub`, for which it waits as `address.connect` does."""
 
-    hello_again_s = math.inf
-    """Time after which an unanswered Hello is repeated."""
+    hello_again_s = math.inf  # time after which an unanswered Hello is repeated
 
     def __init__(
         self, channel: str, start_timeout_s: float, say: Callable[[str], None] = silent
     ) -> None:
-        """Connect, waiting for the hub, as `address.connect` does."""
         self._path = address.socket_path(channel)
         self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES)
         self._socket = address.connect(channel, start_timeout_s, say)
@@ -71,12 +69,11 @@ class LocalLink:
 
 
 class CanLink:
-    """The link to a `SocketCan` coordinator on the same channel."""
+    """The link to a `SocketCan` coordinator. Raises InputError for a channel that does not exist."""
 
     hello_again_s = 0.1
 
     def __init__(self, interface: str) -> None:
-        """Open the channel.  Raises InputError when there is none."""
         self._can = CanSocket(interface, PARTICIPANT_VIEW)
         self._lifeline: socket.socket | None = None
         self._poll = select.poll()
@@ -127,10 +124,9 @@ Link = LocalLink | CanLink  # moves records between a participant and its coordi
 
 
 class Session:
-    """The exchange of one participant with its coordinator, from Hello to Stop."""
+    """One participant's exchange with its coordinator. Raises InputError for an unknown name."""
 
     def __init__(self, name: str, link: Link, scenario: int = 0) -> None:
-        """Prepare to join; `scenario` as for `RemoteChannel`.  Raises InputError for an unknown name."""
         if name not in wire.PARTICIPANTS:
             raise InputError(f"participant {name!r}: expected {', '.join(wire.PARTICIPANTS)}")
         self.name = name

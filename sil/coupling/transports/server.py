@@ -173,14 +173,13 @@ def epoch_ns(stamp: int, now_ns: int) -> int:
 
 
 class Relay(Server):
-    """A hub without a run of its own, in a thread; `close` ends it.
+    """A hub without a run of its own, in a thread. Raises RunError when another run uses the channel.
 
     It greets each connection with Start and passes each frame on at once with its BusTime, the low 48
     bits of ns since 1970. A sender receives its own frames if it asked so by Monitor.
     """
 
     def __init__(self, channel: str) -> None:
-        """Listen.  Raises RunError when another run uses the channel."""
         super().__init__()
         self._listener, self._path = address.listen(channel)
         self._attend(self._listener.fileno(), self._accept)

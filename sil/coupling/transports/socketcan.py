@@ -37,10 +37,9 @@ PARTICIPANT_VIEW = (
 
 
 class CanSocket:
-    """A raw CAN socket that waits while the queue is full and raises when a frame was lost."""
+    """A raw CAN socket that waits while the queue is full. Raises InputError for no such interface."""
 
     def __init__(self, interface: str, filters: Sequence[tuple[int, int]]) -> None:
-        """Open it.  Raises InputError when there is no such CAN interface, or it is down."""
         self.interface = interface
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
