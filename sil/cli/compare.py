@@ -11,7 +11,7 @@ import shlex
 from pathlib import Path
 
 from can_dbc.errors import InputError
-from sil.cli.options import JSON, argument, out
+from sil.cli.options import JSON, argument, out, table_lines
 
 ARGUMENTS = (
     argument("run", "folders of runs, or their result.json", "RUN", nargs="+", type=Path),
@@ -26,7 +26,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare and print; return the exit code. Raises InputError for what is not a finished run."""
     import msgspec
 
-    from sil.cli.options import table_lines
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import close_folders, finite, prepare_folder
     from sil.report.compare_page import event_cells, head_of, write_page

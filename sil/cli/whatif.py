@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from can_dbc.errors import InputError
-from sil.cli.options import EFFECTS, JSON, NEW, argument, out, write_draft
+from sil.cli.options import EFFECTS, JSON, NEW, argument, out, table_lines, write_draft
 from sil.files.output_folder import close_folders, finite, prepare_folder, reopen_folder
 from sil.files.quantity import counted
 
@@ -105,7 +105,6 @@ def _folder(study: Study, arguments: argparse.Namespace) -> Path:
 
 def _print_summary(study: Study, table: Table, result: dict[str, Any]) -> None:
     """Print the metrics of rows or groups, and why rows did not pass."""
-    from sil.cli.options import table_lines
     from sil.studies.study_page import shown_rows
 
     sentences = result.get("safe_states", ())
