@@ -11,14 +11,7 @@ import pytest
 from sil.cli import main
 from sil.j1939.mapping import LAYOUT, SHIPPED
 from sil.log_replay import report
-from tests.support.truck_synthesis import (
-    DRIVE,
-    MadeShift,
-    Truck,
-    replace,
-    without,
-    write_log,
-)
+from tests.support.truck_synthesis import DRIVE, MadeShift, Truck, replace, without, write_log
 
 Capture = pytest.CaptureFixture[str]
 ONE = Truck(drive=DRIVE[:1], end_ms=6_000)

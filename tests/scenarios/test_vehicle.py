@@ -98,15 +98,10 @@ def test_ratios_speeds_and_pressure_agree(found: Run) -> None:
     assert supply[0] == pytest.approx(9e5 - 101_325.0, abs=4000.0)
 
 
-def test_engine_without_requests_leaves_the_synchronizer_the_whole_difference(
-    found: Run,
-) -> None:
+def test_engine_without_requests_leaves_the_synchronizer_the_whole_difference(found: Run) -> None:
     lost = run_in_memory(load(NAME, settings={"driveline.follows_requests": False}))
     assert lost.shifts[0].arrived_s == pytest.approx(found.shifts[0].arrived_s, abs=0.1)
-    table = {
-        "fault": [{"kind": "loss", "message": "Tsc1"}],
-        "controller.shift.sync_wait_s": 0.2,
-    }
+    table = {"fault": [{"kind": "loss", "message": "Tsc1"}], "controller.shift.sync_wait_s": 0.2}
     alone = run_in_memory(load(NAME, settings=table))
     block, unblock = (
         next(e.time_s for e in alone.record.events if e.name == name)

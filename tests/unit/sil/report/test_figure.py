@@ -7,13 +7,7 @@ from math import nan
 import numpy as np
 import pytest
 
-from sil.report.figure import (
-    ColourScale,
-    Panel,
-    Series,
-    Stack,
-    spans_of,
-)
+from sil.report.figure import ColourScale, Panel, Series, Stack, spans_of
 from tests.support.figures import everything
 
 

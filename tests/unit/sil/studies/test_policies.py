@@ -27,10 +27,7 @@ def test_each_sequence_and_load_is_the_stroke_that_the_plant_makes() -> None:
     assert arrivals.arrival_s.shape == (2, len(GEARBOX))
     for commands, row in ((PUSH.commands, 0), (BRAKED, 1)):
         stroke = simulate(
-            PARAMETERS,
-            replace(GEARBOX[2], commands=commands),
-            np.array([0.0, 0.3]),
-            internal=False,
+            PARAMETERS, replace(GEARBOX[2], commands=commands), np.array([0.0, 0.3]), internal=False
         )
         assert stroke.impact is not None
         revealed_s = next(event.time_s for event in stroke.events if event.name == "unblock")

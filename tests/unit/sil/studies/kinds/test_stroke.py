@@ -67,9 +67,7 @@ def test_nothing_is_better_than_the_front_in_both(study: Study) -> None:
         assert not ((x < front.x) & (y < front.y)).any()
 
 
-def test_a_front_shows_the_unchanged_actuator_without_and_with_the_oil_damper(
-    study: Study,
-) -> None:
+def test_a_front_shows_the_unchanged_actuator_without_and_with_the_oil_damper(study: Study) -> None:
     panel = study.file.draw(study, table_of(study))["pareto"].stacks[0].panels[0]
     plain, damped = panel.notes
     assert (plain.text, damped.text) == ("nothing changed", "oil damper")
