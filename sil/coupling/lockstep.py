@@ -101,7 +101,7 @@ class Lockstep:
     def run(self) -> RunSummary:
         """Run from the present instant to the end.  Raises ParticipantLost, and RunError of the bus."""
         self.advance(self.end_ns - 1)
-        self._step(self.end_ns, [name for name in self.names if name in self._next])
+        self._timed_step(self.end_ns, [name for name in self.names if name in self._next])
         self._finished = True
         lateness = self._pacer.lateness() if self._pacer is not None else None
         return RunSummary(self._turns, self._frames, self._wall_s, lateness)
@@ -111,17 +111,19 @@ class Lockstep:
         if not self._started:
             self.start()
         while (now_ns := min(self._next.values(), default=NEVER_NS)) <= until_ns:
-            self._step(now_ns, [name for name in self.names if self._next.get(name) == now_ns])
+            self._timed_step(
+                now_ns, [name for name in self.names if self._next.get(name) == now_ns]
+            )
 
-    def _step(self, now_ns: int, due: Sequence[str]) -> None:
+    def _timed_step(self, now_ns: int, due: Sequence[str]) -> None:
         started = time.perf_counter()
         try:
-            self._grant(now_ns, due)
+            self._step(now_ns, due)
         except ParticipantLost as lost:
             raise lost.at(to_seconds(now_ns)) from lost.__cause__
         self._wall_s += time.perf_counter() - started
 
-    def _grant(self, now_ns: int, due: Sequence[str]) -> None:
+    def _step(self, now_ns: int, due: Sequence[str]) -> None:
         if deliveries := self._bus.advance(now_ns):
             self._frames += len(deliveries)
             self._record(deliveries)

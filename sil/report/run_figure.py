@@ -68,14 +68,17 @@ def run_figure(
 
 def motion_panels(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift]) -> list[Panel]:
     """Return the panels of truck, position, speed, valves, coils, pressures and firmware states."""
-    truth = record.truth
-    speed = Series("true", truth["time_s"] * MS, truth["velocity_m_s"], "truth")
+    truth, time = record.truth, record.truth["time_s"] * MS
+    speed = Series("true", time, truth["velocity_m_s"], "truth")
+    currents = [
+        Series(c, time, truth[f"current_{c}_a"], c) for c in CHAMBERS if f"current_{c}_a" in truth
+    ]
     return [
         *vehicle_panels(record),
         _position(record, zooms, shifts),
         Panel("Speed of the stay", "m/s", [speed], height=130, page_only=True),
         _valves(record, zooms),
-        *_currents(record),
+        *([Panel("Current of the coils", "A", currents, height=110)] if currents else []),
         _pressures(record, zooms),
         states_panel(record),
     ]
@@ -321,15 +324,6 @@ def _event_spans(
     moves = [(e.time_s, e.name) for e in record.events if e.name.startswith(prefix)]
     on = [at_start, *(name == prefix + names[0] for _, name in moves)]
     return spans_of([0.0, *(t for t, _ in moves)], on, float(record.truth["time_s"][-1]))
-
-
-def _currents(record: RunRecord) -> Iterator[Panel]:
-    """Yield the currents of the coils, where the run has coils."""
-    time = record.truth["time_s"] * MS
-    names = {c: f"current_{c}_a" for c in CHAMBERS if f"current_{c}_a" in record.truth}
-    if names:
-        lines = [Series(c, time, record.truth[name], c) for c, name in names.items()]
-        yield Panel("Current of the coils", "A", lines, height=110)
 
 
 # --- pressures, states, bus ---------------------------------------------------------------------

@@ -93,8 +93,9 @@ def junit_xml(result: Result) -> str:
 
     def add(name: str, problem: str, message: str | None) -> None:
         case = ElementTree.SubElement(suite, "testcase", classname=result.scenario_name, name=name)
-        if message is not None:
-            ElementTree.SubElement(case, problem, message=_xml_text(message))
+        if message is not None:  # without the control characters that XML 1.0 cannot hold
+            text = "".join(c if c in "\t\n" or ord(c) >= 32 else "?" for c in message)
+            ElementTree.SubElement(case, problem, message=text)
 
     for check in result.expectations:
         add(check.name, "failure", None if check.passed else str(check))
@@ -105,8 +106,3 @@ def junit_xml(result: Result) -> str:
     ElementTree.indent(root)
     text: str = ElementTree.tostring(root, encoding="unicode", xml_declaration=False)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + text + "\n"
-
-
-def _xml_text(text: str) -> str:
-    """Drop the control characters that XML 1.0 cannot hold."""
-    return "".join(c if c in "\t\n" or ord(c) >= 32 else "?" for c in text)

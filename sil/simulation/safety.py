@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from can_dbc.messages import ControllerStatus, Fault, Gear
-from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
 from sil.files.quantity import quantity
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
@@ -60,6 +59,10 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     off = math.nan
     if not energised[-1] and (late := np.flatnonzero(energised & (time_s >= start))).size:
         off = float(time_s[late[-1] + 1]) - start
+    reported_gear = math.nan
+    if status and (message := status[-1][1]) is not None:
+        age_s = float(time_s[-1]) - status[-1][0].arrival_ns / NS_PER_S
+        reported_gear = math.nan if age_s > REPORT_HOLDS_S else float(message.confirmed)
     end = float(position[-1])
     end_gear = gear_at(end, record.stroke_m, windows.gear_tolerance_m, windows.neutral_tolerance_m)
     impacts = [abs(float(e.values["speed_m_s"])) for e in record.events if e.name == "stay_stop"]
@@ -71,7 +74,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "coils_off_after_s": off,
         "end_position_m": end,
         "end_gear": float(end_gear),
-        "reported_gear": _reported_at(status, float(time_s[-1])),
+        "reported_gear": reported_gear,
         "energised_at_end": float(energised[-1]),
         "worst_impact_m_s": max(impacts, default=math.nan),
         "both_filled_s": float(np.count_nonzero(both)) * _step_s(record),
@@ -79,14 +82,6 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "orphan_energised_s": orphan_energised_s(record, scenario),
         "false_gear_s": false_gear_s(record, scenario),
     }
-
-
-def _reported_at(status: list[tuple[BusFrame, ControllerStatus | None]], at_s: float) -> float:
-    """Return the gear reported by a valid status frame at an instant in s; NaN without one."""
-    entry, message = status[-1] if status else (None, None)
-    if entry is None or message is None or at_s - entry.arrival_ns / NS_PER_S > REPORT_HOLDS_S:
-        return math.nan
-    return float(message.confirmed)
 
 
 def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:

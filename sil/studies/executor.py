@@ -12,9 +12,9 @@ import io
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import msgspec
@@ -94,11 +94,14 @@ def run_study(
     rows = study.file.rows_together
     wanted = [(start, min(start + rows, study.size)) for start in range(begin, study.size, rows)]
     # the first rows run here: bad settings are reported at once, and kernels are compiled once
+    work = partial(run_chunk if cluster is None else _run_sent_chunk, study)
+    then = "the finished rows are stored; add --resume to continue"
+    others = in_turn(work, wanted[1:], workers=workers, cluster=cluster, then=then)
     done = begin
     progress(done, study.size)
     try:
         with open(path, "a", encoding="utf-8", newline="") as file:
-            for lines in _results(study, wanted, workers, cluster):
+            for lines in chain((run_chunk(study, piece) for piece in wanted[:1]), others):
                 file.write("".join(lines))
                 file.flush()
                 os.fsync(file.fileno())
@@ -113,16 +116,6 @@ def run_study(
         what = "changed while the study ran; the rows are of both"
         raise RunError(f"{path}: {', '.join(changed)} {what}")
     return done - begin
-
-
-def _results(
-    study: Study, wanted: list[tuple[int, int]], workers: int, cluster: str | None
-) -> Iterator[list[str]]:
-    """Yield the lines of each chunk, in order."""
-    yield from (run_chunk(study, piece) for piece in wanted[:1])
-    work = partial(run_chunk if cluster is None else _run_sent_chunk, study)
-    then = "the finished rows are stored; add --resume to continue"
-    yield from in_turn(work, wanted[1:], workers=workers, cluster=cluster, then=then)
 
 
 def _run_sent_chunk(study: Study, numbers: tuple[int, int]) -> list[str]:

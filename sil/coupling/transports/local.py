@@ -77,7 +77,9 @@ class LocalBus(can.BusABC):
         try:
             length = connection.recv_into(self._buffer)
         except BlockingIOError:
-            return _is_readable(connection, timeout_s)
+            poll = select.poll()
+            poll.register(connection.fileno(), select.POLLIN)
+            return bool(poll.poll(None if timeout_s is None else timeout_s * 1000.0))
         except OSError as error:
             raise can.CanOperationError(f"{self.channel_info}: {error.strerror}") from None
         if length == 0:
@@ -161,9 +163,3 @@ def _only_channel() -> str:
         names = f" ({', '.join(running)}): name one" if running else ""
         raise InputError(f"{len(running)} runs found{names}")
     return running[0]
-
-
-def _is_readable(connection: socket.socket, timeout_s: float | None) -> bool:
-    poll = select.poll()
-    poll.register(connection.fileno(), select.POLLIN)
-    return bool(poll.poll(None if timeout_s is None else timeout_s * 1000.0))
