@@ -297,7 +297,7 @@ def open_channels(
         )
     else:
         from sil.coupling.transports.socketcan import SocketCan as opened
-    where = local_name or channel
+    where = channel if local_name is None else local_name
     remote = opened(where, remote_names, scenario=number, timeouts=timeouts, say=say)
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
     for name in remote_names:
