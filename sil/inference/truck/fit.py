@@ -210,6 +210,11 @@ class Fitter:
         off = np.abs(self.off(fit.position_m)) > FAR_SD * np.sqrt(self.variance(FINE_M))
         return int((off & self.model.recorded).any(axis=1).sum())
 
+    def misfit_cost(self, fit: Fit) -> float:
+        """Return the cost of what a fit leaves of the positions, against noise as measured."""
+        assert fit.per_shift is not None
+        return float(fit.per_shift.sum()) + self.count * float(np.log(fit.noise_factor))
+
     def start(self, cause: Cause | None = None, size: float = 0.0) -> Fit:
         """Return a usual truck."""
         each = np.zeros((len(self.model), len(self.layout.differing)))

@@ -244,26 +244,31 @@ class Search:
             for cause in self._first_look()
             for seed, size in enumerate(cause.sizes(*sizes[: 3 if cause.sign else 2]))
         ]
-        begun = spread_out(self._coarse, jobs, self.workers, stages.until(40.0))
-        # a coarse fit cannot tell sizes apart: the best from each of them goes on
-        begun_at = np.searchsorted(sizes, [abs(size) for *_, size, _ in jobs]).tolist()
-        going = [
-            (at, fit)
-            for at in range(len(sizes))
-            for fit in _best_of(
-                [f for f, k in zip(begun, begun_at, strict=True) if k == at],
-                EFFORT.wide_continued,
-                _capped,
-            )
+        begun = spread_out(self._coarse, jobs, self.workers, stages.until(37.0))
+        around = [
+            (fit.mounted, fit.cause, fit.cause.clipped(by * fit.size), len(sizes))
+            for fit in _best_of(begun, EFFORT.wide_continued, _capped)
+            if fit.cause is not None
+            for by in EFFORT.later_sizes
         ]
-        fits = spread_out(
-            self._continued, [fit for _, fit in going], self.workers, stages.until(50.0)
+        begun_at = np.searchsorted(sizes, [abs(size) for *_, size, _ in jobs])
+        groups = [
+            [fit for fit, k in zip(begun, begun_at, strict=True) if k == at]
+            for at in range(len(sizes))
+        ]
+        groups.append(spread_out(self._coarse, around, self.workers, stages.until(42.0)))
+        # a coarse fit cannot tell sizes far apart: the best from each of them goes on
+        going = [_best_of(group, EFFORT.wide_continued, _capped) for group in groups]
+        fits = iter(
+            spread_out(
+                self._continued,
+                [fit for group in going for fit in group],
+                self.workers,
+                stages.until(50.0),
+            )
         )
-        best: list[Fit] = []
-        for at in range(len(sizes)):
-            own = [fit for fit, (k, _) in zip(fits, going, strict=True) if k == at]
-            best += _best_of(own, EFFORT.wide_fitted, _capped)
-        return best
+        continued = [[next(fits) for _ in group] for group in going]
+        return [fit for group in continued for fit in _best_of(group, EFFORT.wide_fitted, _capped)]
 
     def _coarse(self, job: tuple[bool, Cause, float, int]) -> Fit:
         mounted, cause, size, seed = job
@@ -365,9 +370,9 @@ def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:
 
 
 def _unlike(fits: Sequence[Fit]) -> list[Fit]:
-    """Return fits without those like a better one before them: of a cause at nearly its size."""
+    """Return fits, the best first, without those like a better one: of a cause at nearly its size."""
     kept: list[Fit] = []
-    for fit in fits:
+    for fit in sorted(fits, key=lambda fit: fit.cost):
         like = [k for k in kept if (k.name, k.mounted) == (fit.name, fit.mounted)]
         if not any(0.8 < fit.size / k.size < 1.25 for k in like if k.size):
             kept.append(fit)

@@ -66,7 +66,7 @@ class Verdict:
 
 
 def weighed(
-    fits: Sequence[Fit], causes: Sequence[Cause], failed: int = 0
+    fits: Sequence[Fit], causes: Sequence[Cause], fitters: dict[bool, Fitter], failed: int = 0
 ) -> tuple[list[Hypothesis], float]:
     """Return the best fit of each hypothesis with its probability, the likeliest first, and that of none of them.
 
@@ -91,18 +91,24 @@ def weighed(
         gentle = np.array(priors) * np.exp(TEMPER * (evidence - evidence[wrong].max()))
         weights[wrong] = weights[wrong].sum() * gentle[wrong] / gentle[wrong].sum()
     leader = int(np.argmax(weights))
-    unnamed = LIMITS.unnamed_odds(_unexplained_share(kept[leader], best["healthy"]))
+    unnamed = LIMITS.unnamed_odds(_unexplained_share(kept[leader], best["healthy"], fitters))
     unnamed *= weights[leader]
     total = weights.sum() + unnamed
     hypotheses = [Hypothesis(fit, float(w / total)) for fit, w in zip(kept, weights, strict=True)]
     return sorted(hypotheses, key=lambda item: -item.probability), float(unnamed / total)
 
 
-def _unexplained_share(leader: Fit, healthy: Fit) -> float:
-    """Return the share of the healthy misfit, in chi squared, that the leading hypothesis leaves."""
-    if leader.noise_factor <= LIMITS.max_residual_ratio:
+def _unexplained_share(leader: Fit, healthy: Fit, fitters: dict[bool, Fitter]) -> float:
+    """Return the share of the healthy misfit that the leading hypothesis leaves.
+
+    In chi squared, if that is more than noise everywhere; in cost, if it is some deviations that repeat.
+    """
+    if leader.noise_factor > LIMITS.max_residual_ratio:
+        left, whole = (fit.noise_factor**2 - 1.0 for fit in (leader, healthy))
+    elif fitters[leader.mounted].deviating(leader) >= REPEATED:
+        left, whole = (fitters[fit.mounted].misfit_cost(fit) for fit in (leader, healthy))
+    else:
         return 0.0
-    left, whole = (fit.noise_factor**2 - 1.0 for fit in (leader, healthy))
     return left / max(left, whole)
 
 
@@ -147,7 +153,7 @@ def decide(
     fits: Sequence[Fit], causes: Sequence[Cause], fitters: dict[bool, Fitter], failed: int
 ) -> Verdict:
     """Return the verdict on fitted hypotheses; failed: shifts that did not reach their gear."""
-    hypotheses, unnamed = weighed(fits, causes, failed)
+    hypotheses, unnamed = weighed(fits, causes, fitters, failed)
     probabilities = by_id(hypotheses, unnamed)
     healthy = next(item.fit for item in hypotheses if item.fit.cause is None)
     far = fitters[healthy.mounted].deviating(healthy)

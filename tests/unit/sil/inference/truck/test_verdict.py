@@ -16,6 +16,8 @@ from sil.inference.truck.verdict import Verdict, by_id, decide, reported, weighe
 from tests.unit.sil.inference.truck.test_causes import only
 
 CAUSES = catalogue()
+QUIET: Any = SimpleNamespace(deviating=lambda _fit: 0)
+FITTERS = {True: QUIET, False: QUIET}
 
 
 def fit(name: str, evidence: float, noise: float = 1.0, size: float = 2.0) -> Fit:
@@ -27,13 +29,15 @@ def fit(name: str, evidence: float, noise: float = 1.0, size: float = 2.0) -> Fi
 def judged(
     fits: list[Fit], far: int = 0, failed: int = 0, ends: tuple[float, float] = (1.0, 3.0)
 ) -> Verdict:
-    fitter: Any = SimpleNamespace(deviating=lambda _fit: far, profile=lambda _fit: ends)
+    fitter: Any = SimpleNamespace(
+        deviating=lambda _fit: far, misfit_cost=lambda _fit: 50.0, profile=lambda _fit: ends
+    )
     return decide(fits, CAUSES, {True: fitter, False: fitter}, failed)
 
 
 def test_probabilities_are_one_normalised_set() -> None:
     fits = [fit("", 0.0), fit("detent", 3.0), fit("detent", 2.0), fit("supply_low", 1.0)]
-    hypotheses, unnamed = weighed(fits, CAUSES)
+    hypotheses, unnamed = weighed(fits, CAUSES, FITTERS)
     assert len(hypotheses) == 3
     assert sum(item.probability for item in hypotheses) + unnamed == pytest.approx(1.0)
     assert sum(by_id(hypotheses, unnamed).values()) == pytest.approx(1.0)
@@ -42,7 +46,9 @@ def test_probabilities_are_one_normalised_set() -> None:
 
 
 def test_between_causes_evidence_counts_a_third() -> None:
-    hypotheses, _ = weighed([fit("", 0.0), fit("detent", 33.0), fit("supply_low", 30.0)], CAUSES)
+    hypotheses, _ = weighed(
+        [fit("", 0.0), fit("detent", 33.0), fit("supply_low", 30.0)], CAUSES, FITTERS
+    )
     p = {item.fit.id: item.probability for item in hypotheses}
     assert p["detent"] / p["supply_low"] == pytest.approx(np.e, rel=1e-6)
     assert p["healthy"] < 1e-9
@@ -84,6 +90,18 @@ def test_what_leaves_far_more_than_noise_has_no_name() -> None:
     assert judged([fit("", 0.0, 40.0), fit("detent", 90.0, 1.3)]).kind == "named"
 
 
+@pytest.mark.parametrize(("left", "kind"), [(70.0, UNNAMED), (2.0, "named")])
+def test_deviations_that_repeat_beside_a_cause_count_by_their_share(left: float, kind: str) -> None:
+    """A cause that explains some positions by noise alone and leaves two shifts far off is not named."""
+    fitter: Any = SimpleNamespace(
+        deviating=lambda _fit: 2,
+        misfit_cost=lambda fit: 150.0 if fit.cause is None else left,
+        profile=lambda _fit: (1.0, 3.0),
+    )
+    fits = [fit("", 0.0), fit("detent", 70.0)]
+    assert decide(fits, CAUSES, {True: fitter, False: fitter}, 0).kind == kind
+
+
 @pytest.mark.parametrize("how", [{"failed": 2}, {"far": 2}])
 def test_nothing_beside_failures_and_repeated_deviations_is_healthy(how: dict[str, int]) -> None:
     for evidence in (-3.0, 4.5):
@@ -100,7 +118,7 @@ def test_one_deviation_does_not_repeat() -> None:
 def test_of_many_causes_that_are_alike_the_likeliest_are_reported() -> None:
     ids = list(dict.fromkeys(cause.id for cause in CAUSES))
     fits = [fit("", 0.0), *(fit(name, 30.0) for name in ids), fit("detent", 30.0)]
-    hypotheses, unnamed = weighed(fits, CAUSES)
+    hypotheses, unnamed = weighed(fits, CAUSES, FITTERS)
     probabilities = by_id(hypotheses, unnamed)
     assert max(p for name, p in probabilities.items() if name != UNNAMED) < 0.1
     assert len(reported(hypotheses, probabilities)) > 15
