@@ -112,24 +112,24 @@ def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...
     since, until = arguments.since, arguments.until
     chosen = Selection.parse(since=since, until=until, channels=arguments.channel)
     log = open_logs(arguments.log, selection=chosen, show_progress=True)
-    measured = measure_bus(log, log.path)
+    measured, left_out = measure_bus(log, log.path)
     names: dict[tuple[int, bool], str] = {}
     stated: dict[tuple[int, bool], int] = {}
     how = "jitter of 99 % of the intervals, waiting for the bus included"
-    notes = [f"periods and jitter measured in {log.path} ({how})", *measured.notes]
+    notes = [f"periods and jitter measured in {log.path} ({how})", *left_out]
     if arguments.dbc:
         database = load_dbc(arguments.dbc)
-        names = names_of(database, measured.messages)
+        names = names_of(database, measured)
         stated = {
             (m.frame_id, m.is_extended_frame): round(m.cycle_time * 1e6)
             for m in database.messages
             if m.cycle_time
         }
-        if unnamed := len(measured.messages) - len(names):
+        if unnamed := len(measured) - len(names):
             unnamed_text = counted(unnamed, "message")
             notes.append(f"{unnamed_text} not in {arguments.dbc}, shown by identifier")
     messages = []
-    for message in measured.messages:
+    for message in measured:
         key = message.can_id, message.extended
         name = names.get(key, f"{message.can_id:0{8 if message.extended else 3}X}")
         name += "" if message.periodic or key in stated else " ~"

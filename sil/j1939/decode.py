@@ -6,11 +6,12 @@ ones put together. What a sender reports as not available (all bits set, SAE J19
 
 from __future__ import annotations
 
+import copy
 import csv
 import io
 import os
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
@@ -21,7 +22,6 @@ from can_dbc.errors import InputError
 from can_dbc.frame import split_id
 from sil.files.extras import import_extra
 from sil.files.quantity import counted
-from sil.j1939.layout import MessageLayout, is_unavailable
 from sil.j1939.mapping import ANY_SOURCE
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
@@ -34,9 +34,92 @@ from sil.logs.writer import packer
 
 if TYPE_CHECKING:
     from cantools.database import Database
-    from cantools.database.can import Message
+    from cantools.database.can import Message, Signal
 
 COLUMNS: Final = ("time_s", "channel", "message", "source", "signal", "value", "unit", "text")
+
+
+class Field(NamedTuple):
+    """A signal under a name that no other one of its message has; `alone`: a message of only it."""
+
+    name: str
+    signal: Signal
+    alone: Message | None = None
+
+
+class MessageLayout:
+    """Decodes a message: as a whole, or each signal alone if signals overlap or leave the message.
+
+    problems: what is wrong with it, and which signals are therefore not decoded.
+    """
+
+    def __init__(self, message: Message) -> None:
+        from cantools.database import Error
+
+        self.message = message
+        self.problems: list[str] = []
+        try:
+            message.refresh(strict=True)
+            self.fields = [Field(signal.name, signal) for signal in message.signals]
+            return
+        except Error as error:
+            self.problems.append(f"{' '.join(str(error).split())} Each is decoded alone")
+        self.fields = []
+        for signal in message.signals:
+            name = signal.name
+            if name in (one.name for one in self.fields):
+                name = f"{name} (bit {signal.start})"
+                self.problems.append(
+                    f"a second signal {signal.name} of {message.name}: as {name!r}"
+                )
+            try:
+                self.fields.append(Field(name, signal, _alone(message, signal)))
+            except Error:
+                self.problems.append(
+                    f"signal {name} of {message.name} is not decoded: it leaves the message's "
+                    f"{message.length} bytes"
+                )
+
+    def decode(self, data: bytes) -> dict[str, Any]:
+        """Return the raw values in a frame by name; those that it is too short for are missing.
+
+        Raises DecodeError, and others that cantools does not declare.
+        """
+        how: dict[str, Any] = {"decode_choices": False, "scaling": False, "allow_truncated": True}
+        if not self.problems:
+            return dict(self.message.decode(data, **how))
+        raw: dict[str, Any] = {}
+        for name, _, alone in self.fields:
+            assert alone is not None
+            for value in alone.decode(data, **how).values():
+                raw[name] = value
+        return {f.name: raw[f.name] for f in self.fields if f.name in raw and _sent(f.signal, raw)}
+
+
+def _alone(message: Message, signal: Signal) -> Message:
+    """Return a message of one signal. Raises cantools' Error if that does not fit into it."""
+    plain = copy.copy(signal)
+    plain.multiplexer_ids, plain.multiplexer_signal = None, None
+    plain.is_multiplexer = False
+    how = {"is_extended_frame": message.is_extended_frame, "strict": True}
+    return type(message)(message.frame_id, message.name, message.length, [plain], **how)
+
+
+def _sent(signal: Signal, raw: Mapping[str, Any]) -> bool:
+    """Return whether a multiplexed signal is in a frame with these raw values."""
+    ids = signal.multiplexer_ids
+    return not ids or raw.get(signal.multiplexer_signal) in ids
+
+
+def is_unavailable(signal: Signal, raw: Any) -> bool:
+    """Return whether a J1939 sender has no value: all bits set (SAE J1939-71).
+
+    The standard defines it for states of two bits and for numbers from four bits on; flags of one bit
+    and what the database names are values.
+    """
+    wide_enough = signal.length == 2 or signal.length >= 4
+    named = signal.choices is not None and raw in signal.choices
+    return wide_enough and not named and raw == (1 << signal.length) - 1
 
 
 class Decoded(NamedTuple):
@@ -223,44 +306,31 @@ def _parquet(path: str, file: BinaryIO) -> Iterator[_Take]:
 
 @contextmanager
 def _mf4(path: str, file: BinaryIO) -> Iterator[_Take]:
-    table = _Mf4(path)
-    try:
-        yield table.take
-        save(table.measurement, file)
-    finally:
-        if table.measurement is not None:
-            table.measurement.close()
+    """Make a group for each message, sender and channel; a missing value is not a number."""
+    import numpy as np
 
+    asammdf = import_asammdf(path)
+    measurement: Any = None
+    start_ns = 0
+    groups: dict[tuple[str, int | None, str], int] = {}
 
-class _Mf4:
-    """A group of its own for each message, sender and channel; a missing value is not a number."""
-
-    def __init__(self, path: str) -> None:
-        self._path = path
-        self._asammdf = import_asammdf(path)
-        self.measurement: Any = None
-        self._start_ns = 0
-        self._groups: dict[tuple[str, int | None, str], int] = {}
-
-    def take(self, batch: Sequence[Decoded]) -> None:
-        import numpy as np
-
-        if self.measurement is None:
+    def take(batch: Sequence[Decoded]) -> None:
+        nonlocal measurement, start_ns
+        if measurement is None:
             if (first_ns := batch[0].time_ns) >= RELATIVE_BELOW_NS:
-                self._start_ns = first_ns // NS_PER_MS * NS_PER_MS
-            self.measurement = new_measurement(self._path, self._start_ns)
-        parts: dict[tuple[str, int | None, str], list[Decoded]] = {}
+                start_ns = first_ns // NS_PER_MS * NS_PER_MS
+            measurement = new_measurement(path, start_ns)
+        parts = defaultdict(list)
         for one in batch:
-            parts.setdefault((one.message.name, one.source, one.channel), []).append(one)
+            parts[one.message.name, one.source, one.channel].append(one)
         for key, part in parts.items():
-            times_s = np.array([one.time_ns - self._start_ns for one in part]) / 1e9
+            times_s = np.array([one.time_ns - start_ns for one in part]) / 1e9
             fields = part[0].layout.fields
             columns = [
                 np.array([float(one.values.get(f.name, np.nan)) for one in part]) for f in fields
             ]
-            if key in self._groups:
-                samples = [(column, None) for column in (times_s, *columns)]
-                self.measurement.extend(self._groups[key], samples)
+            if key in groups:
+                measurement.extend(groups[key], [(column, None) for column in (times_s, *columns)])
                 continue
             name, source, channel = key
             title = name + ("" if source is None else f" of {source:#04x}")
@@ -268,9 +338,16 @@ class _Mf4:
             signals = []
             for (field_name, signal, _), column in zip(fields, columns, strict=True):
                 texts = {"unit": signal.unit or "", "comment": signal.comment or ""}
-                signals.append(self._asammdf.Signal(column, times_s, name=field_name, **texts))
-            self._groups[key] = len(self._groups)
-            self.measurement.append(signals, acq_name=title, comment=title, common_timebase=True)
+                signals.append(asammdf.Signal(column, times_s, name=field_name, **texts))
+            groups[key] = len(groups)
+            measurement.append(signals, acq_name=title, comment=title, common_timebase=True)
+
+    try:
+        yield take
+        save(measurement, file)
+    finally:
+        if measurement is not None:
+            measurement.close()
 
 
 _TABLES: Final = {".csv": _csv, ".mf4": _mf4, ".parquet": _parquet}

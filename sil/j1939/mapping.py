@@ -1,7 +1,4 @@
-"""What the signals of a truck's log stand for: a mapping file, and the DBC that its names are of.
-
-Checked by: tests/unit/sil/j1939/test_mapping.py
-"""
+"""What the signals of a truck's log stand for: a mapping file, and the DBC that its names are of."""
 
 from __future__ import annotations
 

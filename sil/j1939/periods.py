@@ -63,16 +63,8 @@ class MeasuredMessage:
         return True
 
 
-@dataclass
-class MeasuredBus:
-    """The messages measured, most frequent first, and what was left out, as text."""
-
-    messages: list[MeasuredMessage]
-    notes: list[str]
-
-
-def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
-    """Measure all messages of one bus, in bounded memory.
+def measure_bus(frames: Iterable[LogFrame], log: str) -> tuple[list[MeasuredMessage], list[str]]:
+    """Measure one bus in bounded memory: its messages, most frequent first, and what was left out, as text.
 
     Raises InputError for a log of several channels, and for one without messages that repeat.
     """
@@ -108,7 +100,7 @@ def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
         (irregular, "message", "not periodic: taken by the mean interval (~)"),
     )
     notes = [f"{counted(count, noun)} {what}" for count, noun, what in counts if count]
-    return MeasuredBus(sorted(measured, key=lambda message: message.period_ns), notes)
+    return sorted(measured, key=lambda message: message.period_ns), notes
 
 
 def names_of(

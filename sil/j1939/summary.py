@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -32,7 +32,8 @@ class J1939Summary:
 
     groups: frames by parameter group and source. unflagged: changes of the reported gear with
     no flagged shift around them. chatter: flag changes of one sample left out.
-    unfinished: shifts under way where the log (or its clock) begins or ends.
+    unfinished: shifts under way where the log (or its clock) begins or ends. first_ns: time of the log's
+    first frame. transport: what became of long messages. engines: by channel, around shifts.
     """
 
     frames: int
@@ -43,14 +44,9 @@ class J1939Summary:
     chatter: int
     unfinished: int
     notes: list[str]
-    first_ns: int | None = None
-    """Time of the log's first frame."""
-
-    transport: Assembler = field(default_factory=Assembler)
-    """What became of the messages of the transport protocol."""
-
-    engines: Mapping[str, EngineTrace] = field(default_factory=dict)
-    """By channel, with the samples around shifts."""
+    first_ns: int | None
+    transport: Assembler
+    engines: Mapping[str, EngineTrace]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
@@ -74,15 +70,12 @@ class J1939Summary:
     def lines(self) -> list[str]:
         """Return the summary as text, shifts first."""
         lines = [f"{counted(len(self.shifts), 'shift')} in {counted(self.frames, 'frame')}"]
-        begin_ns = self.first_ns or 0
-        lines += [
-            f"  {number}. +{(shift.start_ns - begin_ns) / 1e9:.3f} s: {shift}"
-            for number, shift in enumerate(self.shifts, 1)
-        ]
+        for number, shift in enumerate(self.shifts, 1):
+            after_s = (shift.start_ns - (self.first_ns or 0)) / 1e9
+            lines.append(f"  {number}. +{after_s:.3f} s: {shift}")
         if self.unflagged:
-            lines.append(
-                f"{counted(len(self.unflagged), 'change')} of gear outside of flagged shifts"
-            )
+            changes = counted(len(self.unflagged), "change")
+            lines.append(f"{changes} of gear outside of flagged shifts")
             lines += [f"  {shift}" for shift in self.unflagged]
         if self.chatter:
             lines.append(f"{self.chatter} one-sample changes of the flag or gear left out")
@@ -124,16 +117,13 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
         parts = split_id(can_id)
         groups[parts.pgn, parts.source] += identifier.frames
     shifts = finder.finish()
+    names = "unflagged", "chatter", "unfinished", "notes", "engines"
     return J1939Summary(
-        groups.total() + others,
-        groups.total(),
-        dict(groups),
-        shifts,
-        finder.unflagged,
-        finder.chatter,
-        finder.unfinished,
-        finder.notes,
-        None if first is None else first.time_ns,
-        transport,
-        finder.engines,
+        frames=groups.total() + others,
+        j1939_frames=groups.total(),
+        groups=dict(groups),
+        shifts=shifts,
+        first_ns=None if first is None else first.time_ns,
+        transport=transport,
+        **{name: getattr(finder, name) for name in names},
     )

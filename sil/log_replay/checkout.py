@@ -20,7 +20,6 @@ def checkout(revision: str, repository: Path = ROOT) -> Iterator[Path]:
     """Yield a temporary folder with the firmware of a commit.
 
     Raises InputError for a commit that does not exist, or code outside a git repository.
-    Checked by: tests/unit/sil/log_replay/test_checkout.py
     """
     name, expected = f"--against {one_line(revision, 60)}", "expected a commit, tag or branch"
     if revision.startswith("-"):

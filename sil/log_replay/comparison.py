@@ -74,7 +74,6 @@ class Comparison:
 
     `inputs`: called where the sides part, returns the inputs that led there. Memory grows
     with the number of edges and state changes, not with the log.
-    Checked by: tests/unit/sil/log_replay/test_comparison.py
     """
 
     def __init__(
@@ -84,7 +83,8 @@ class Comparison:
         inputs: Callable[[], list[str]] = list,
         warming: bool = False,
     ) -> None:
-        self._options = options
+        self._around_ns = round(options.time_s * 1e9)
+        self._window_ns = round(options.edges.window_s * 1e9)
         self._judge = SignalComparer(options)
         self._duty_closed = duty_closed
         self._inputs = inputs
@@ -128,9 +128,9 @@ class Comparison:
         if ours:
             self.ticks += 1
         differing: list[tuple[str, str, str]] = []
-        if self._options.time_ns:
+        if self._around_ns:
             self._waiting.extend((time_ns, kind, fields) for kind, fields in ours.items())
-            differing = self._compare_waiting(time_ns - self._options.time_ns)
+            differing = self._compare_waiting(time_ns - self._around_ns)
         else:
             for kind, fields in ours.items():
                 if recorded[kind] == replayed.get(kind):
@@ -142,7 +142,7 @@ class Comparison:
 
     def finish(self) -> None:
         """Compare what is still waiting: the log ends."""
-        if self._options.time_ns and self._waiting:
+        if self._around_ns and self._waiting:
             last_ns = self._waiting[-1][0]
             self._part(last_ns, self._compare_waiting(last_ns))
         self.excerpts.finish()
@@ -155,7 +155,7 @@ class Comparison:
                 self.damaged[kind] += 1
                 continue
             decoded_by_kind[kind] = self._held[side][kind] = decoded
-            if side == REPLAYED and self._options.time_ns:
+            if side == REPLAYED and self._around_ns:
                 self._recent.setdefault(kind, deque()).append((time_ns, decoded))
         return decoded_by_kind
 
@@ -203,13 +203,12 @@ class Comparison:
     def _compare_waiting(self, until_ns: int) -> list[tuple[str, str, str]]:
         """Compare what was recorded up to a time with what the replay had around it."""
         differing: list[tuple[str, str, str]] = []
-        around_ns = self._options.time_ns
         while self._waiting and self._waiting[0][0] <= until_ns:
             time_ns, kind, ours = self._waiting.popleft()
             recent = self._recent.get(kind, deque())
-            while len(recent) > 1 and recent[1][0] <= time_ns - around_ns:
+            while len(recent) > 1 and recent[1][0] <= time_ns - self._around_ns:
                 recent.popleft()
-            near = [fields for at_ns, fields in recent if at_ns <= time_ns + around_ns]
+            near = [fields for at_ns, fields in recent if at_ns <= time_ns + self._around_ns]
             best: tuple[Any, ...] | None = None
             if near:  # each signal may have had its value at its own instant
                 best = min(near, key=lambda f: len(self._judge.differing(kind, ours, f)))
@@ -265,7 +264,7 @@ class Comparison:
 
     def matched_edges(self) -> list[MatchedEdges]:
         """Match the edges of all lanes."""
-        return [match_edges(signal, self._options.window_ns) for signal in self.switches]
+        return [match_edges(signal, self._window_ns) for signal in self.switches]
 
     @property
     def engaged(self) -> bool:

@@ -31,10 +31,7 @@ class Matching(NamedTuple):
 
 
 def match(recorded: Sequence[Edge], replayed: Sequence[Edge], window_ns: int) -> Matching:
-    """Match two series of edges, each in order of time; the work grows with edges in a window.
-
-    Checked by: tests/unit/sil/log_replay/test_edges.py
-    """
+    """Match two series of edges, each in order of time; the work grows with edges in a window."""
     if recorded == replayed:
         return Matching([(i, i) for i in range(len(recorded))], [], [])
     times = [edge.time_ns for edge in replayed]

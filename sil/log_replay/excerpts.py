@@ -31,8 +31,6 @@ class ExcerptRecorder:
 
     A scene is from 80 ms before the first edge or difference to 160 ms after the last, of at most
     1.5 s and 1000 ticks.
-
-    Checked by: tests/unit/sil/log_replay/test_excerpts.py
     """
 
     def __init__(self) -> None:
@@ -71,10 +69,7 @@ class ExcerptRecorder:
 def waveforms(
     scene: Excerpt, labels: tuple[str, str], base_ns: int = 0, width: int = 100
 ) -> list[str]:
-    """Draw a scene in letters: one column per tick, coils and states of both sides.
-
-    Checked by: tests/unit/sil/log_replay/test_excerpts.py
-    """
+    """Draw a scene in letters: one column per tick, coils and states of both sides."""
     lines = []
     rows = scene.rows
     for start in range(0, len(rows), width):

@@ -94,7 +94,7 @@ class ReplayExecutor:
     receives: whether the control unit receives the frames of a time (log's clock, ns).
     plant: takes part where the plant is replayed too.
     reference: another control unit whose answers replace the recorded ones.
-    Checked by: tests/unit/sil/log_replay/test_executor.py, tests/scenarios/test_replay.py
+    Checked by: tests/scenarios/test_replay.py
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class ReplayExecutor:
         self._last_tick = 0
         self._next_recorded = 0
         self._next_ns = 0
-        self._restarts = deque(ticks.restarts)
+        self._restarts = list(ticks.restarts)
         self._heard: deque[tuple[int, type, Frame]] = deque(maxlen=12)
         self.account = Account()
         self.steps = 0
@@ -166,21 +166,20 @@ class ReplayExecutor:
             account.foreign += 1
         elif kind in OUTPUTS:
             self._sort_answer(arrival, kind)
-        elif kind in INPUTS:
-            if self._receives(arrival.time_ns):
-                account.inputs[kind.__name__] += 1
-                self._pending.append((time_ns, arrival.frame))
-            else:
-                account.unheard[kind.__name__] += 1
-        else:
+        elif kind not in INPUTS:
             account.plant[kind.__name__] += 1
+        elif self._receives(arrival.time_ns):
+            account.inputs[kind.__name__] += 1
+            self._pending.append((time_ns, arrival.frame))
+        else:
+            account.unheard[kind.__name__] += 1
         if self._plant is not None:
             self._plant.see(time_ns, arrival)
 
     def _sort_answer(self, arrival: Arrival, kind: type) -> None:
-        account = self.account
+        name, account = kind.__name__, self.account
         if not is_intact(kind, arrival.frame):
-            account.other[f"{kind.__name__} with a wrong checksum or length"] += 1
+            account.other[f"{name} with a wrong checksum or length"] += 1
             return
         tick = self._map.tick_of(arrival)
         if kind in PROTECTED:
@@ -190,15 +189,13 @@ class ReplayExecutor:
         if kind in self._answers.get(tick, ()):  # its counter does not change
             tick = self._grid.latest_tick(arrival)
         if tick < self._next_recorded:
-            account.other[f"{kind.__name__} from before the replay or too late"] += 1
-            return
-        slot = self._answers.setdefault(tick, {})
-        if kind in slot:
-            account.other[f"{kind.__name__} a second time in one tick"] += 1
-            return
-        account.answers[kind.__name__] += 1
-        self._answered_ns.setdefault(tick, arrival.time_ns - self._grid.origin_ns)
-        slot[kind] = bare(kind, arrival.frame.data)
+            account.other[f"{name} from before the replay or too late"] += 1
+        elif kind in self._answers.setdefault(tick, {}):
+            account.other[f"{name} a second time in one tick"] += 1
+        else:
+            account.answers[name] += 1
+            self._answered_ns.setdefault(tick, arrival.time_ns - self._grid.origin_ns)
+            self._answers[tick][kind] = bare(kind, arrival.frame.data)
 
     # --- running ----------------------------------------------------------------------------
     def _go(self) -> None:
@@ -216,9 +213,7 @@ class ReplayExecutor:
             self._skip(idle)
         elif now_ns == self._next_ns:
             self._next_ns += self._period_ns
-            replayed, other = self._step(now_ns, tick, recorded)
-            if other is not None:
-                recorded = other
+            recorded, replayed = self._step(now_ns, tick, recorded)
         if self._reference is None and self._same_grid:
             for kind in replayed.keys() - recorded.keys():
                 self.unanswered[kind.__name__] += 1
@@ -236,12 +231,11 @@ class ReplayExecutor:
 
     def _step(
         self, now_ns: int, tick: int, recorded: dict[type, bytes]
-    ) -> tuple[dict[type, bytes], dict[type, bytes] | None]:
-        """Run a tick; return the control unit's answers, and the reference's where there is one."""
+    ) -> tuple[dict[type, bytes], dict[type, bytes]]:
+        """Run a tick; return the recorded answers, or those of the reference, and the control unit's."""
         assert self.comparison is not None
-        if self._restarts and self._restarts[0] <= tick:
-            while self._restarts and self._restarts[0] <= tick:
-                self._restarts.popleft()
+        if restarts := sum(1 for _ in takewhile(lambda first: first <= tick, self._restarts)):
+            del self._restarts[:restarts]
             self._unit.restart(now_ns)
             if self._reference is not None:
                 self._reference.restart(now_ns)
@@ -260,9 +254,9 @@ class ReplayExecutor:
         answers = by_kind(released)
         if self._plant is not None:
             self._plant.answered(now_ns, released, answers, recorded)
-        if self._reference is None:
-            return answers, None
-        return answers, by_kind(self._reference.step(now_ns, deliveries))
+        if self._reference is not None:
+            recorded = by_kind(self._reference.step(now_ns, deliveries))
+        return recorded, answers
 
     def _arrived(self, until_ns: int) -> int:
         return sum(1 for _ in takewhile(lambda pending: pending[0] <= until_ns, self._pending))
@@ -281,31 +275,24 @@ class ReplayExecutor:
         before = self._unit.copy() if first < last else None
         if before is None:
             return in_time, None
-        choices = sorted(range(first, last + 1), key=lambda count: abs(count - in_time))
-        default: tuple[Unit, list[Frame]] | None = None
-        for count in choices:
+        choices: list[tuple[int, Unit, list[Frame]]] = []
+        for count in sorted(range(first, last + 1), key=lambda count: abs(count - in_time)):
             unit = before.copy() or before
             inputs = [(min(t, now_ns), f) for t, f in islice(self._pending, count)]
-            released = unit.step(now_ns, inputs)
-            answers = by_kind(released)
-            if all(answers.get(kind) == answer for kind, answer in recorded.items()):
-                self._unit = unit
+            choices.append((count, unit, unit.step(now_ns, inputs)))
+            if recorded.items() <= by_kind(choices[-1][2]).items():
                 self.moved_inputs += abs(count - in_time)
-                return count, released
-            default = default or (unit, released)
-        assert default is not None  # the first choice is by time alone
-        self._unit = default[0]
-        return in_time, default[1]
+                break
+        else:
+            del choices[1:]  # the first choice is by time alone
+        count, self._unit, released = choices[-1]
+        return count, released
 
 
 def by_kind(released: Iterable[Frame]) -> dict[type, bytes]:
     """Return the data of released frames by message type, without counter and checksum."""
-    answers: dict[type, bytes] = {}
-    for can_id, data in released:
-        kind = OWN_IDS.get(can_id)
-        if kind is not None:
-            answers[kind] = bare(kind, data)
-    return answers
+    own = ((OWN_IDS[can_id], data) for can_id, data in released if can_id in OWN_IDS)
+    return {kind: bare(kind, data) for kind, data in own}
 
 
 def _input_text(kind: type, frame: Frame) -> str:

@@ -19,7 +19,7 @@ from sil.log_replay.truck_replay import (
 )
 from sil.log_replay.truck_shift import NAMES, PHASES
 from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Stack, Zoom, spans_of
-from sil.shifts.cutter import Shift, gear_name
+from sil.shifts.cutter import Shift
 from sil.shifts.engine import EngineTrace
 
 
@@ -34,9 +34,8 @@ def excerpts_figure(
 
     marks: adds the faults to a panel.
     """
-    parts = without_repetition(scenes)
+    parts = filter(None, without_repetition(scenes))
     pieces = [([(row.time_ns + base_ns) / 1e6 for row in rows], rows) for rows in parts]
-    pieces = [(times, rows) for times, rows in pieces if rows]
     estimates = _estimates(pieces, labels, base_ns, positions)
     panels = [marks(p) for p in (estimates, _coils(pieces, labels), _states(pieces, labels))]
     zooms = []
@@ -47,9 +46,8 @@ def excerpts_figure(
             zooms.append(Zoom(name, times[0], _end(times)))
     title = "the commands differ" if any(s.differs for s in scenes) else "the commands are equal"
     limits = (pieces[0][0][0], max(_end(times) for times, _ in pieces))
-    return Figure(
-        [Stack("time of the log, ms", panels, zooms=zooms, limits=limits, width=10.8)], title
-    )
+    stack = Stack("time of the log, ms", panels, zooms=zooms, limits=limits, width=10.8)
+    return Figure([stack], title)
 
 
 Piece = tuple[list[float], list[Row]]
@@ -161,10 +159,9 @@ def positions_figure(
     ]
     difference = [Series("replayed - recorded", times, replayed - recorded, "alarm", width=1.0)]
     panels = [
-        Panel("Position of the plant", "mm", lines, height=230),
-        Panel("Difference", "mm", difference, height=110),
+        marks(Panel("Position of the plant", "mm", lines, height=230)),
+        marks(Panel("Difference", "mm", difference, height=110)),
     ]
-    panels = [marks(panel) for panel in panels]
     limits = (float(times[0]), float(times[-1]))
     return Figure([Stack("time of the log, ms", panels, limits=limits, width=10.8)])
 
@@ -177,21 +174,18 @@ PHASE_ROLES = dict(zip(PHASES, ("INIT", "N", "HOLD", "B", "CONFIRM"), strict=Tru
 
 def all_shifts_figure(replay: TruckReplay) -> Figure:
     """Return the time to the new gear of every shift, by column."""
-    series, spans = [], []
+    series = []
     for column, name in enumerate(replay.columns):
-        times = [
-            (shift.number, side_figures(shift, column)["request to new gear"])
+        times = {
+            shift.number: side_figures(shift, column)["request to new gear"]
             for shift in replay.shifts
             if not shift.skipped
-        ]
-        points = np.array([(n, t) for n, t in times if t is not None], dtype=np.float64)
-        if len(points):
-            series.append(
-                Series(name, points[:, 0], points[:, 1], ROLES[column], "dots", width=4.0)
-            )
-    for shift in replay.shifts:
-        if not shift.counts:
-            spans.append(Span(shift.number - 0.4, shift.number + 0.4, "grid"))
+        }
+        known = np.array([(n, t) for n, t in times.items() if t is not None], dtype=np.float64)
+        if len(known):
+            numbers, times_s = known.T
+            series.append(Series(name, numbers, times_s, ROLES[column], "dots", width=4.0))
+    spans = [Span(s.number - 0.4, s.number + 0.4, "grid") for s in replay.shifts if not s.counts]
     panel = Panel("Request to new gear", "s", series, spans=spans, height=260)
     ticks = [(shift.number, shift.title) for shift in replay.shifts]
     few = ticks if len(ticks) <= 24 else ()
@@ -209,8 +203,10 @@ def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:
         instants = [(0.0, "request, torque cut: our request")]
     rules = [Rule(at) for at, _ in instants]
     panels = []
-    speeds = _speeds(shift, names)
-    if speeds:
+    if (sync := recorded.synchronisation) is not None:
+        speeds = [Series(names[0], sync.time_s, sync.difference_rad_s, ROLES[0], width=2.4)]
+        for k, ours in enumerate(shift.ours, start=1):
+            speeds.append(Series(names[k], ours.time_s, _referred(ours), ROLES[k]))
         named = [Rule(at, name) for at, name in instants]
         panels.append(Panel("Speed difference at the synchronizer", "rad/s", speeds, rules=named))
     torque = recorded.signals["engine_torque_share"]
@@ -237,16 +233,6 @@ def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:
     return Figure([stack], f"Shift {shift.title}", truck_verdict(shift)[0])
 
 
-def _speeds(shift: ComparedShift, names: list[str]) -> list[Series]:
-    sync = shift.recorded.synchronisation
-    if sync is None:
-        return []
-    series = [Series(names[0], sync.time_s, sync.difference_rad_s, ROLES[0], width=2.4)]
-    for k, ours in enumerate(shift.ours, start=1):
-        series.append(Series(names[k], ours.time_s, _referred(ours), ROLES[k]))
-    return series
-
-
 def _referred(ours: OurShift) -> np.ndarray:
     """Return our difference [n], in rad/s, NaN before the gear is left: it refers to the next gear."""
     left = ours.times_s["disengaged"]
@@ -271,10 +257,6 @@ def _ms(summary: J1939Summary, time_ns: int) -> float:
     return (time_ns - (summary.first_ns or 0)) / 1e6
 
 
-def _name(shift: Shift) -> str:
-    return f"{gear_name(shift.from_gear)} to {gear_name(shift.to_gear)}"
-
-
 def shift_times_figure(summary: J1939Summary) -> Figure:
     """Return the time of each shift over the time of the log."""
     x = np.array([_ms(summary, shift.start_ns) / 1e3 for shift in summary.shifts])
@@ -287,10 +269,7 @@ def engine_figure(summary: J1939Summary, shifts: Sequence[Shift]) -> Figure:
     """Return torque and speed of the engine, the shifts as spans, with a zoom for each."""
     views = [(_ms(summary, s.start_ns) - 1000.0, _ms(summary, s.end_ns) + 1000.0) for s in shifts]
     spans = [Span(_ms(summary, s.start_ns), _ms(summary, s.end_ns), "band") for s in shifts]
-    zooms = [
-        Zoom(f"{n}. {_name(s)}", *view)
-        for n, (s, view) in enumerate(zip(shifts, views, strict=True), 1)
-    ]
+    zooms = [Zoom(f"{n}. {s.gears}", *views[n - 1]) for n, s in enumerate(shifts, 1)]
     channels = sorted({shift.channel for shift in shifts} & summary.engines.keys())
     panels = []
     for title, unit, column, role in (
@@ -300,7 +279,7 @@ def engine_figure(summary: J1939Summary, shifts: Sequence[Shift]) -> Figure:
         lines = [_line(summary, summary.engines[channel], column, views) for channel in channels]
         series = [Series(title.lower(), *line, role) for line in lines if len(line[0])]
         panels.append(Panel(title, unit, series, spans=spans, height=190))
-    title = _name(shifts[0]) if len(shifts) == 1 else ""
+    title = shifts[0].gears if len(shifts) == 1 else ""
     return Figure([Stack("time of the log, ms", panels, zooms=zooms, width=10.8)], title)
 
 

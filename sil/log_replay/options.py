@@ -52,7 +52,7 @@ def find_settings(
     `firmware`: a file with the firmware's settings (a table of them, a [controller] table, a
     scenario or a result.json), or the program of another firmware (FILE.py or FILE.py:CLASS). `run`: scenario or result.json that the log is of. `settings`:
     values by path; those of the plant need `with_plant`.
-    Raises InputError. Checked by: tests/unit/sil/log_replay/test_options.py
+    Raises InputError.
     """
     path = Path(log).with_name(RESULT)
     result = _read_result(path) if path.is_file() else {}
@@ -135,14 +135,12 @@ def _read_result(path: str | Path) -> dict[str, Any]:
 
 def _defaults(log_head: Survey) -> dict[str, Any]:
     raw: dict[str, Any] = {"name": "replay", "duration_s": 1.0, "request": [], "controller": {}}
-    if log_head.period_ns is not None and 2_000_000 <= log_head.period_ns <= 20_000_000:
-        raw["controller"]["period_s"] = log_head.period_ns / 1e9
-    else:
-        raw["controller"]["period_s"] = 0.01
+    period_ns, sensor_ns = log_head.period_ns or 0, log_head.sensor_period_ns or 0
+    is_possible = 2_000_000 <= period_ns <= 20_000_000
+    raw["controller"]["period_s"] = period_ns / 1e9 if is_possible else 0.01
     if log_head.gear is not None:
         raw["initial_gear"] = log_head.gear.name.lower()
-    sensor_ns = log_head.sensor_period_ns
-    if sensor_ns is not None and 1_000_000 <= sensor_ns <= 40_000_000:
+    if 1_000_000 <= sensor_ns <= 40_000_000:
         raw["sensor"] = {"period_s": sensor_ns / 1e9}
     return raw
 

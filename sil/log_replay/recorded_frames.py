@@ -44,7 +44,6 @@ class RecordedFrames:
     message type, where the log has others than the contract. `skew`: from a time on the
     recorder's clock runs faster by that share, and times are given in the control unit's own.
     Raises InputError when the clock steps back by more than `REORDERED_NS`.
-    Checked by: tests/unit/sil/log_replay/test_recorded_frames.py
     """
 
     log: Iterable[LogFrame]
@@ -138,7 +137,6 @@ def ids_of_database(path: str) -> tuple[dict[int, type], dict[int, str]]:
 
     Messages are found by their names; layout and scaling have to be those of the contract.
     Raises InputError for a message that is laid out differently, or when none is there.
-    Checked by: tests/unit/sil/log_replay/test_recorded_frames.py
     """
     from can_dbc.dbc import load_dbc
 
@@ -148,13 +146,9 @@ def ids_of_database(path: str) -> tuple[dict[int, type], dict[int, str]]:
     names: dict[int, str] = {}
     for message in database.messages:
         names[message.frame_id] = message.name
-        kind = by_name.get(message.name)
-        if kind is None:
-            continue
-        if not message.is_extended_frame:
-            raise InputError(f"{path}: {message.name}: an 11-bit identifier; expected 29 bits")
-        _require_layout(path, kind, message)
-        ids[message.frame_id] = kind
+        if (kind := by_name.get(message.name)) is not None:
+            _require_layout(path, kind, message)
+            ids[message.frame_id] = kind
     if not ids:
         raise InputError(
             f"{path}: no message of the control unit in it; expected {', '.join(sorted(by_name))}"
@@ -168,6 +162,8 @@ def ids_of_database(path: str) -> tuple[dict[int, type], dict[int, str]]:
 def _require_layout(path: str, kind: type, message: Any) -> None:
     spec = spec_of(kind)
     theirs = {signal.name: signal for signal in message.signals}
+    if not message.is_extended_frame:
+        raise InputError(f"{path}: {message.name}: an 11-bit identifier; expected 29 bits")
     if message.length != spec.length:
         raise InputError(
             f"{path}: {message.name}: {message.length} bytes; expected {spec.length} as in opc4.dbc"

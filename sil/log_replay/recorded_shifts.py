@@ -1,7 +1,4 @@
-"""Commanded shifts of a log: commands as they reached the valves, pulses, speeds, supply.
-
-Checked by: tests/unit/sil/log_replay/test_recorded_shifts.py
-"""
+"""Commanded shifts of a log: commands as they reached the valves, pulses, speeds, supply."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import count
 from typing import Final
 
 import numpy as np
@@ -34,8 +32,9 @@ from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
 from plant.parameters import ParameterSet
 from sil.coupling.clock import NS_PER_S
 from sil.files.quantity import counted
-from sil.j1939.mapping import Meaning, Sender, SignalMapping
+from sil.j1939.mapping import Meaning, SignalMapping
 from sil.log_replay.recorded_frames import Arrival, RecordedFrames, is_intact
+from sil.log_replay.truck_log import SHAFT_SPEEDS
 from sil.logs import LogFrame, LogReader, open_log
 from sil.shifts.cutter import CommandedShifts
 
@@ -296,7 +295,7 @@ def shifts_of(
     log = open_log(path)
     arrivals: Iterable[Arrival] = RecordedFrames(_of_one_bus(log), path=path)
     if mapping is not None:
-        arrivals = Translator(mapping).arrivals(log)
+        arrivals = _translated(mapping, log)
     for arrival in arrivals:
         if (shift := reader.take(arrival)) is not None:
             yield shift
@@ -333,55 +332,44 @@ def _of_one_bus(log: LogReader) -> Iterator[LogFrame]:
 DUTIES: Final[tuple[Meaning, ...]] = ("duty_b", "duty_n", "duty_f")
 
 
-class Translator:
-    """Frames of another layout as those of our contract; end-to-end protection is ours."""
+def _translated(mapping: SignalMapping, log: Iterable[LogFrame]) -> Iterator[Arrival]:
+    """Yield the frames of our contract that mapped ones stand for; end-to-end protection is ours.
 
-    def __init__(self, mapping: SignalMapping) -> None:
-        """Take what another layout's signals stand for.
-
-        Raises InputError if duties or pulses are not mapped.
-        """
-        for meaning in (*DUTIES, "pulse_s"):
-            if not mapping.messages_of(meaning):
-                raise InputError(
-                    f"{mapping.path}: no signal for {meaning}; expected duty_b, duty_n, duty_f, "
-                    "pulse_s, and where present coil_temperature_k, input_shaft_rad_s, "
-                    "output_shaft_rad_s, supply_pressure_pa"
-                )
-        self._mapping = mapping
-        self._known: dict[Meaning, float] = {"coil_temperature_k": 293.15}
-        self._pulses = 0
-        self._command, self._blow = Protector(ValveCommand), Protector(SafetyBlow)
-        self._pulse, self._speeds = Protector(PositionPulse), Protector(DrivelineSpeeds)
-
-    def arrivals(self, log: Iterable[LogFrame]) -> Iterator[Arrival]:
-        """Yield the frames of our contract that mapped frames [any layout] stand for."""
-        find = lru_cache(20_000)(self._mapping.sender)
-        for entry in log:
-            if entry.remote or entry.error:
-                continue
-            sender = find(entry.channel, entry.can_id, entry.extended)
-            if sender is not None and len(entry.data) >= self._mapping.length(sender.message):
-                yield from self._translated(entry, sender)
-
-    def _translated(self, entry: LogFrame, sender: Sender) -> Iterator[Arrival]:
-        values = self._mapping.values(sender, entry.data)
-        carried = {self._mapping.rows[k].meaning: value for k, value in values.items()}
-        self._known.update(carried)
-        known, at = self._known, entry.time_ns
+    Raises InputError if duties or pulses are not mapped.
+    """
+    for meaning in (*DUTIES, "pulse_s"):
+        if not mapping.messages_of(meaning):
+            raise InputError(
+                f"{mapping.path}: no signal for {meaning}; expected duty_b, duty_n, duty_f, "
+                "pulse_s, and where present coil_temperature_k, input_shaft_rad_s, "
+                "output_shaft_rad_s, supply_pressure_pa"
+            )
+    known: dict[Meaning, float] = {"coil_temperature_k": 293.15}
+    pulses = count()
+    kinds = ValveCommand, SafetyBlow, PositionPulse, DrivelineSpeeds
+    command, blow, pulse, speeds = (Protector(kind).protect for kind in kinds)
+    find = lru_cache(20_000)(mapping.sender)
+    for entry in log:
+        if entry.remote or entry.error:
+            continue
+        sender = find(entry.channel, entry.can_id, entry.extended)
+        if sender is None or len(entry.data) < mapping.length(sender.message):
+            continue
+        values = mapping.values(sender, entry.data)
+        carried = {mapping.rows[k].meaning: value for k, value in values.items()}
+        known.update(carried)
+        at = entry.time_ns
         if carried.keys() & set(DUTIES):
             b, n, f = (min(max(known.get(name, 0.0), 0.0), 1.0) for name in DUTIES)
-            command = ValveCommand(b, n, f, Gear.UNKNOWN)
-            yield Arrival(at, ValveCommand, self._command.protect(command))
-            yield Arrival(at, SafetyBlow, self._blow.protect(NO_BLOW))
+            yield Arrival(at, ValveCommand, command(ValveCommand(b, n, f, Gear.UNKNOWN)))
+            yield Arrival(at, SafetyBlow, blow(NO_BLOW))
         if "pulse_s" in carried:
-            pulse = PositionPulse(carried["pulse_s"], known["coil_temperature_k"], self._pulses)
-            self._pulses = self._pulses + 1 & 0xFF
+            values_of_pulse = known["pulse_s"], known["coil_temperature_k"], next(pulses) & 0xFF
             with suppress(CodecError):  # beyond what a pulse can be
-                yield Arrival(at, PositionPulse, self._pulse.protect(pulse))
-        if "input_shaft_rad_s" in carried or "output_shaft_rad_s" in carried:
-            pair = known.get("input_shaft_rad_s", 0.0), known.get("output_shaft_rad_s", 0.0)
-            yield Arrival(at, DrivelineSpeeds, self._speeds.protect(DrivelineSpeeds(*pair)))
+                yield Arrival(at, PositionPulse, pulse(PositionPulse(*values_of_pulse)))
+        if carried.keys() & set(SHAFT_SPEEDS):
+            shaft_in, output = (known.get(name, 0.0) for name in SHAFT_SPEEDS)
+            yield Arrival(at, DrivelineSpeeds, speeds(DrivelineSpeeds(shaft_in, output)))
         if "supply_pressure_pa" in carried:
-            gauge = carried["supply_pressure_pa"] - 101325.0
-            yield Arrival(at, None, encode(Air1(min(max(gauge, 0.0), 1.9e6))))
+            gauge_pa = carried["supply_pressure_pa"] - 101325.0
+            yield Arrival(at, None, encode(Air1(min(max(gauge_pa, 0.0), 1.9e6))))

@@ -50,10 +50,7 @@ class Report:
 
 
 def report(outcome: ReplayResult | TruckReplay) -> Report:
-    """Report a replay of our own unit's log or of a truck's.
-
-    Checked by: tests/unit/sil/log_replay/test_report.py
-    """
+    """Report a replay of our own unit's log or of a truck's."""
     if isinstance(outcome, TruckReplay):
         values = truck_dict(outcome)
         truck = partial(truck_page, outcome, values)
@@ -88,21 +85,16 @@ def verdict(outcome: ReplayResult) -> str:
 def attribution(outcome: ReplayResult) -> str:
     """Say which side differs from the recording."""
     assert outcome.plant is not None
+    unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
     by_default = " (as set by default: --run gives the run's own settings)"
     source = "" if outcome.settings.own_run else by_default
-    unit, plant = "the control unit", f"the plant{source}"
-    return {
-        (True, True): f"both {unit} and {plant} differ from the recording",
-        (
-            False,
-            True,
-        ): f"{unit} answers as recorded, {plant} does not: the difference is the plant's",
-        (
-            True,
-            False,
-        ): f"the plant answers as recorded, {unit} does not: the difference is {unit}'s",
-        (False, False): "the plant answers as recorded, too",
-    }[outcome.comparison.differs, outcome.plant.differing > 0]
+    if plant and unit:
+        return f"both the control unit and the plant{source} differ from the recording"
+    if plant:
+        return f"the control unit answers as recorded, the plant{source} does not: the difference is the plant's"
+    if unit:
+        return "the plant answers as recorded, the control unit does not: the difference is the control unit's"
+    return "the plant answers as recorded, too"
 
 
 def edge_lines(outcome: ReplayResult) -> list[str]:

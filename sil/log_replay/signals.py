@@ -43,22 +43,11 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     time_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     edges: Edges = Edges()
 
-    @property
-    def time_ns(self) -> int:
-        """`time_s` in ns."""
-        return round(self.time_s * 1e9)
-
-    @property
-    def window_ns(self) -> int:
-        """`edges.window_s` in ns."""
-        return round(self.edges.window_s * 1e9)
-
 
 def load_options(path: str | Path) -> Options:
     """Read the options from a TOML file.
 
     Raises InputError for what is no option, and for signals that do not exist.
-    Checked by: tests/unit/sil/log_replay/test_signals.py
     """
     options = typed_toml.convert(typed_toml.read_toml(path), Options, str(path))
     names = [name for of_kind in NAMES.values() for name in of_kind]

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from statistics import median
 from typing import Final, NamedTuple
 
@@ -43,18 +43,16 @@ BLOCKED_NS: Final = 1_200_000
 """No frame of 29 bits lasts longer than this at 125 kbit/s or above (160 bits)."""
 
 NOMINAL: Final = 1e-3
-SKEW_WINDOWS: Final = 8
 
 
 class Survey(NamedTuple):
     """What the beginning of a log shows of its control unit.
 
     bitrate: None where the times do not show it. period_ns, sensor_period_ns: None where there are
-    not two frames in a row. release_ns: earliest bound of the release of the tick with
-    `first_counter`, moved to the phase that all ticks agree on; None without any tick.
-    awake: the control unit was already running (its first status is not INIT).
-    skew: by how much the recorder's clock runs faster than the control unit's, as a share; 0 where the
-    ticks do not show it. gear: the first one that is confirmed. resolution_ns: all times are multiples of it.
+    not two frames in a row. release_ns: earliest bound of the release of the tick with `first_counter`, moved
+    to the phase that all ticks agree on; None without any tick. awake: its first status is not INIT.
+    skew: by which share the recorder's clock runs faster than the control unit's; 0 where the ticks do not
+    show it. gear: the first one that is confirmed. resolution_ns: all times are multiples of it.
     """
 
     first_ns: int
@@ -108,8 +106,7 @@ class Grid(NamedTuple):
 
 def _bounds(arrivals: Iterable[Arrival], bit_ns: int) -> list[tuple[int, int]]:
     """Return (counter, bound in ns) of each tick; without any blow, from the valve commands alone."""
-    pairs: list[tuple[int, int]] = []
-    singles: list[tuple[int, int]] = []
+    pairs, singles = [], []
     valves: dict[int, tuple[int, int]] = {}
     blows: dict[int, tuple[int, int]] = {}
     for time_ns, kind, frame in arrivals:
@@ -133,10 +130,7 @@ def _bounds(arrivals: Iterable[Arrival], bit_ns: int) -> list[tuple[int, int]]:
 def survey(
     arrivals: Sequence[Arrival], bitrate: int | None = None, period_ns: int | None = None
 ) -> Survey:
-    """Look at the beginning of a log; `bitrate` and `period_ns` where they are known better.
-
-    Checked by: tests/unit/sil/log_replay/test_tick_grid.py
-    """
+    """Look at the beginning of a log; `bitrate` and `period_ns` where they are known better."""
     shown_bitrate = bitrate or _bitrate(arrivals)
     bit_ns = NS_PER_S // (shown_bitrate or DEFAULT_BITRATE)
     bounds = _bounds(arrivals, bit_ns)
@@ -148,22 +142,20 @@ def survey(
         if period_ns is not None:
             half = period_ns // 2
             release_ns += min((b - first_ns + half) % period_ns - half for _, b in bounds)
-    length = spec_of(ControllerStatus).length
-    reports = [
-        a.frame for a in arrivals if a.kind is ControllerStatus and len(a.frame.data) == length
+    pulses = [
+        (counter_of(frame), time_ns)
+        for time_ns, kind, frame in arrivals
+        if kind is PositionPulse and is_intact(kind, frame)
     ]
+    length = spec_of(ControllerStatus).length
+    frames = (a.frame for a in arrivals if a.kind is ControllerStatus)
+    reports = [frame for frame in frames if len(frame.data) == length]
     gears = (Gear(f.data[2] & 3) for f in reports if is_intact(ControllerStatus, f))
     return Survey(
         first_ns=arrivals[0].time_ns if arrivals else 0,
         bitrate=shown_bitrate,
         period_ns=period_ns,
-        sensor_period_ns=_period(
-            [
-                (counter_of(a.frame), a.time_ns)
-                for a in arrivals
-                if a.kind is PositionPulse and is_intact(PositionPulse, a.frame)
-            ]
-        ),
+        sensor_period_ns=_period(pulses),
         release_ns=release_ns,
         first_counter=bounds[0][0] if bounds else 0,
         awake=bool(reports) and reports[0].data[1] >> 4 & 7 != ShiftState.INIT,
@@ -200,10 +192,9 @@ def _bitrate(arrivals: Sequence[Arrival]) -> int | None:
 def _period(instants: Sequence[tuple[int, int]]) -> int | None:
     """Return the period of (counter, time): their mean distance, as round as their jitter allows.
 
-    The first and the last instant are each off by one blocking (or what else scatters the steps)
-    at most, which leaves the mean over n periods uncertain by that over n. A unit that stood still
-    for a while has another mean; then the usual step is the period if far more instants lie on
-    its grid.
+    The first and the last instant are each off by one blocking at most, or by what else scatters the steps:
+    the mean over n periods by that over n. Of a unit that stood still for a while, the usual step is the
+    period if far more instants lie on its grid.
     """
     steps = [
         b_ns - a_ns
@@ -266,16 +257,14 @@ def _skew(bounds: Sequence[tuple[int, int]], period_ns: int) -> float:
 
     The bounds are cut into windows; the earliest of each lie on a line if the clocks drift apart.
     """
-    size = len(bounds) // SKEW_WINDOWS
+    size = len(bounds) // 8
     if size < 20:
         return 0.0
-    tick, before_ns = 0, bounds[0][1]
-    late: list[tuple[int, int]] = []
-    for _, time_ns in bounds:
-        tick += round((time_ns - before_ns) / period_ns)
-        before_ns = time_ns
-        late.append((time_ns - bounds[0][1] - tick * period_ns, tick))
-    first, *between, last = (min(late[k * size : (k + 1) * size]) for k in range(SKEW_WINDOWS))
+    times_ns = [time_ns for _, time_ns in bounds]
+    steps = (round((b - a) / period_ns) for a, b in pairwise(times_ns))
+    ticks = list(accumulate(steps, initial=0))
+    late = [(t - times_ns[0] - k * period_ns, k) for t, k in zip(times_ns, ticks, strict=True)]
+    first, *between, last = (min(late[k * size : (k + 1) * size]) for k in range(8))
     slope = (last[0] - first[0]) / (last[1] - first[1])
     off_ns = max(abs(ns - first[0] - slope * (k - first[1])) for ns, k in between)
     drift = slope / period_ns
@@ -292,7 +281,6 @@ def make_grid(
     `free_running`: the log is of a run in real time, whose ticks are not on the log's clock.
 
     Raises ValueError when the survey found no tick.
-    Checked by: tests/unit/sil/log_replay/test_tick_grid.py
     """
     if log_head.release_ns is None:
         raise ValueError("no tick in the survey")
@@ -301,29 +289,23 @@ def make_grid(
     late_ns = tick_ns % period_ns
     slack_ns = max(log_head.resolution_ns, 2) if log_head.resolution_ns > 1000 else 0
     relative = 0 < log_head.first_ns < NS_PER_S and not free_running
+    exact = log_head.resolution_ns <= 1000
     if relative and (late_ns <= BLOCKED_NS or period_ns - late_ns <= slack_ns):
-        tick_ns = (
-            round(tick_ns / period_ns) * period_ns if late_ns > BLOCKED_NS else tick_ns - late_ns
-        )
-        exact = log_head.resolution_ns <= 1000
+        tick_ns += -late_ns if late_ns <= BLOCKED_NS else period_ns - late_ns
         how = "the log's own clock"
     else:
-        exact = log_head.bitrate is not None and log_head.resolution_ns <= 1000
+        exact &= log_head.bitrate is not None
         how = f"the earliest of {log_head.bounds} valve commands and blows"
     first_tick_ns = tick_ns - log_head.first_counter * period_ns
     fresh = not log_head.awake and first_tick_ns >= log_head.first_ns - period_ns
     origin_ns = first_tick_ns if fresh else tick_ns
-    speed = f"{bitrate // 1000} kbit/s" + ("" if log_head.bitrate else " assumed")
-    rounded = log_head.resolution_ns > 1000
-    error = (
-        f"to {log_head.resolution_ns / 1e6:g} ms"
-        if rounded
-        else "as well as its scattered times allow"
-    )
-    description = (
-        f"ticks every {period_ns / 1e6:g} ms from {origin_ns / 1e9:.9f} s, by {how}; {speed}, "
-        f"{computation_ns / 1e6:g} ms computation"
-        + ("" if exact else f"; {error}")
-        + ("" if fresh else "; the log begins while the control unit is at work")
-    )
+    description = f"ticks every {period_ns / 1e6:g} ms from {origin_ns / 1e9:.9f} s, by {how}; "
+    description += f"{bitrate // 1000} kbit/s{'' if log_head.bitrate else ' assumed'}, "
+    description += f"{computation_ns / 1e6:g} ms computation"
+    if log_head.resolution_ns > 1000:
+        description += f"; to {log_head.resolution_ns / 1e6:g} ms"
+    elif not exact:
+        description += "; as well as its scattered times allow"
+    if not fresh:
+        description += "; the log begins while the control unit is at work"
     return Grid(origin_ns, period_ns, computation_ns, bitrate, exact, fresh, description)

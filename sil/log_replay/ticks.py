@@ -83,10 +83,7 @@ def _holding(spans: list[Span], tick: int) -> Span | None:
 
 
 def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:
-    """Read a whole log and say which ticks ran; memory grows with the gaps only.
-
-    Checked by: tests/unit/sil/log_replay/test_ticks.py
-    """
+    """Read a whole log and say which ticks ran; memory grows with the gaps only."""
     tick_map = TickMap(grid)
     active: int | None = None
     latest: dict[type, tuple[int, int]] = {}
@@ -119,14 +116,10 @@ class _Answer(NamedTuple):
 
 
 def _protected_answers(arrivals: Iterable[Arrival]) -> Iterator[_Answer]:
-    last_ns: int | None = None
-    hole = False
-    for arrival in arrivals:
-        hole |= (
-            last_ns is not None and arrival.time_ns - last_ns > 2_000_000_000
-        )  # nobody on the bus
-        last_ns = arrival.time_ns
-        kind = arrival.kind
+    last_ns, hole = 0, False
+    for number, arrival in enumerate(arrivals):
+        hole |= number > 0 and arrival.time_ns - last_ns > 2_000_000_000  # nobody on the bus
+        last_ns, kind = arrival.time_ns, arrival.kind
         if kind in OUTPUTS and kind in PROTECTED and is_intact(kind, arrival.frame):
             yield _Answer(arrival, kind, counter_of(arrival.frame), hole)
             hole = False
@@ -140,8 +133,7 @@ def _with_ticks(answers: Iterable[_Answer], grid: Grid) -> Iterator[tuple[_Answe
     So the smallest delay among the next answers is that of the ticks themselves.
     """
     if grid.exact:
-        for answer in answers:
-            yield answer, grid.latest_tick(answer.arrival)
+        yield from ((answer, grid.latest_tick(answer.arrival)) for answer in answers)
         return
     waiting: deque[tuple[_Answer, int, int]] = deque()
     counted = before = 0
@@ -178,7 +170,7 @@ def _judge_silence(
             tick_map.off_bus.append(Span(active + 1, tick))
         return
     missed = min(passed - steps, tick - active - 1)
-    if missed < 1:  # a frame that was delayed
-        return
-    tick_map.idle.append(Span(active + 1, active + 1 + missed))
-    tick_map.count_from(active + 1 + missed, (counter - (tick - active - 1 - missed)) % COUNTERS)
+    if missed > 0:  # else a frame was delayed
+        runs_again = active + 1 + missed
+        tick_map.idle.append(Span(active + 1, runs_again))
+        tick_map.count_from(runs_again, (counter - (tick - runs_again)) % COUNTERS)

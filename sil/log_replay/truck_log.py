@@ -1,7 +1,4 @@
-"""A truck's log: its shifts, and the signals around each, as the mapping names them.
-
-Checked by: tests/unit/sil/log_replay/test_truck_log.py
-"""
+"""A truck's log: its shifts, and the signals around each, as the mapping names them."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from can_dbc.frame import join_id
 from sil.coupling.clock import NS_PER_S
 from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
-from sil.logs import LogFrame, LogReport
+from sil.logs import LogFrame
 from sil.report.figure import Floats
 from sil.shifts.cutter import Shift, ShiftFinder
 from sil.shifts.reported import PGN_ETC1, PGN_ETC2
@@ -84,7 +81,6 @@ class TruckLog:
         self.frames = 0
         self.shifts: list[Shift] = []
         self.notes: list[str] = []
-        self.report: LogReport | None = None
         self._series: dict[Sender, _Series] = {}
         self._latest: dict[tuple[str, int], dict[Meaning, float]] = {}
         self._short = 0

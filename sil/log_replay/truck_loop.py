@@ -1,10 +1,8 @@
 """Our firmware and plant in closed loop, in place of the truck's, for one recorded shift.
 
-What the engine does is the truck's: the cut of its torque, when and how fast it synchronises, and
-the return of its torque after the engagement. What the actuator does is ours: the request reaches
-our control unit at the recorded torque cut, and the plant's cone takes the speed difference that
-the engine has left when the stay gets there.
-Checked by: tests/unit/sil/log_replay/test_truck_loop.py
+The engine is the truck's: its torque cut, when and how fast it synchronises, the torque's return after the
+engagement. The actuator is ours: our control unit gets the request at the recorded torque cut, and the
+plant's cone takes the speed difference that the engine has left when the stay gets there.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from sil.log_replay.truck_log import TruckLog, is_data_of
 from sil.log_replay.truck_loop import Input, OurShift, inputs_of, simulate, why_not
 from sil.log_replay.truck_shift import NAMES, RecordedShift, recorded_shift
 from sil.logs import Logs
-from sil.shifts.cutter import TRANSMISSION, gear_name
+from sil.shifts.cutter import TRANSMISSION
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,7 @@ class ComparedShift:
         """Number and gears, and the sender's address if it is not the usual one."""
         shift = self.recorded.shift
         sender = f" ({shift.source:#04x})" if shift.source not in (TRANSMISSION, ANY_SOURCE) else ""
-        gears = f"{gear_name(shift.from_gear)} to {gear_name(shift.to_gear)}"
-        return f"{self.number}. {gears}{sender}"
+        return f"{self.number}. {shift.gears}{sender}"
 
     @property
     def counts(self) -> bool:

@@ -2,7 +2,6 @@
 
 Assumptions: equal speeds at the synchronizer are the speed ratio of the gear after the shift; the
 reported gear is late by up to the period of its message.
-Checked by: tests/unit/sil/log_replay/test_truck_shift.py
 """
 
 from __future__ import annotations
@@ -103,7 +102,7 @@ def peak_rate(time_s: Floats, values: Floats, begin_s: float, end_s: float) -> f
 
 
 def recorded_shift(log: TruckLog, shift: Shift) -> RecordedShift:
-    """Return the phases of a shift of the log. Checked by test_truck_shift."""
+    """Return the phases of a shift of the log."""
     around_ns = round(AROUND_S * 1e9)
 
     def samples(meaning: Meaning, origin_ns: int) -> Samples | None:

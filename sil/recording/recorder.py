@@ -76,10 +76,8 @@ class BusLog(AppendedFile):
             arrival_ns, frame = delivery.arrival_ns, delivery.frame
             self._hash.update(hashed_frame(arrival_ns, frame))
             seconds, nanoseconds = divmod(arrival_ns, 1_000_000_000)
-            fraction = f"{nanoseconds:09d}".removesuffix("000")
-            lines.append(
-                f"({seconds:010d}.{fraction}) opc4 {frame.can_id:08X}#{frame.data.hex().upper()}\n"
-            )
+            time = f"{seconds:010d}.{nanoseconds:09d}".removesuffix("000")
+            lines.append(f"({time}) opc4 {frame.can_id:08X}#{frame.data.hex().upper()}\n")
         self.frames += len(lines)
         self.append("".join(lines).encode())
 
@@ -99,12 +97,11 @@ class FrameWriter(AppendedFile):
     def record(self, deliveries: Sequence[BusFrame]) -> None:
         """Append the frames delivered in one step."""
         pack, number = STORED.pack, self._number
-        self.append(
-            b"".join(
-                pack(released_ns, arrival_ns, can_id, len(data), number[sender], data)
-                for released_ns, arrival_ns, sender, (can_id, data) in deliveries
-            )
+        rows = (
+            pack(released_ns, arrival_ns, can_id, len(data), number[sender], data)
+            for released_ns, arrival_ns, sender, (can_id, data) in deliveries
         )
+        self.append(b"".join(rows))
 
 
 class TraceWriter(AppendedFile):

@@ -1,7 +1,4 @@
-"""Cuts the gear shifts out of a log: those that a truck's transmission reports, and those commanded.
-
-Checked by: tests/unit/sil/shifts/test_cutter.py
-"""
+"""Cuts the gear shifts out of a log: those that a truck's transmission reports, and those commanded."""
 
 from __future__ import annotations
 
@@ -54,6 +51,11 @@ class Shift:
         """From its first to its last instant."""
         return (self.end_ns - self.start_ns) / 1e9
 
+    @property
+    def gears(self) -> str:
+        """Gear before and after, as a driver reads them: N to 4."""
+        return f"{gear_name(self.from_gear)} to {gear_name(self.to_gear)}"
+
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
         return asdict(self) | {"duration_s": self.duration_s}
@@ -66,10 +68,8 @@ class Shift:
         if self.from_ratio is not None and self.to_ratio is not None:
             ratio = f", ratio {self.from_ratio:.2f} to {self.to_ratio:.2f}"
         engine = f", {self.engine}" if self.engine else ""
-        return (
-            f"{when} ({self.duration_s:.3f} s{silent}): {gear_name(self.from_gear)} to "
-            f"{gear_name(self.to_gear)}{ratio}, {sender}, by {self.method}{engine}"
-        )
+        how = f"{ratio}, {sender}, by {self.method}{engine}"
+        return f"{when} ({self.duration_s:.3f} s{silent}): {self.gears}{how}"
 
 
 def gear_name(gear: int | None) -> str:

@@ -10,7 +10,7 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Final
 
 PGN_ETC1: Final = 61442
 PGN_ETC2: Final = 61445
@@ -216,15 +216,6 @@ class GearRun:
         self.samples += samples
 
 
-class GearChange(NamedTuple):
-    """A change of the reported current gear: last sample of the old, first of the new one."""
-
-    start_ns: int
-    end_ns: int
-    from_gear: int | None
-    to_gear: int | None
-
-
 @dataclass(slots=True)
 class GearHistory:
     """The gears that one sender reports, as runs; memory grows with the changes, not with the log."""
@@ -271,14 +262,15 @@ class GearHistory:
                     break
         return gear
 
-    def changes(self) -> list[GearChange]:
-        """Shifts by the current gear alone; neutral for less than 2 s is taken as part of a shift.
+    def changes(self) -> list[tuple[int, int, int | None, int | None]]:
+        """Return shifts by the current gear alone: last sample of the old, first of the new one, both gears.
 
-        A single sample of another gear between samples of the same gear is chatter. A gear that is
-        another after a step of the clock backwards is no shift: its time is not known.
+        Neutral for less than 2 s is part of a shift. A single sample of another gear between samples of the
+        same gear is chatter. A gear that is another after a step of the clock backwards is no shift: its time
+        is not known.
         """
         stays = self._stays()
-        changes: list[GearChange] = []
+        changes = []
         index = 0
         while index + 1 < len(stays):
             here, there = stays[index], stays[index + 1]
@@ -288,8 +280,7 @@ class GearHistory:
                 if beyond.first_ns - there.first_ns < 2_000_000_000:
                     there, step = beyond, 2
             if here.current != there.current and here.last_ns <= there.first_ns:
-                instants = here.last_ns, there.first_ns
-                changes.append(GearChange(*instants, here.current, there.current))
+                changes.append((here.last_ns, there.first_ns, here.current, there.current))
             index += step
         return changes
 

@@ -57,7 +57,7 @@ def test_options_from_a_file(tmp_path: Path) -> None:
         "[edges]\nwindow_s = 0.1\n"
     )
     options = load_options(file)
-    assert options.time_ns == 10_000_000 and options.window_ns == 100_000_000
+    assert options.time_s == 0.01 and options.edges.window_s == 0.1
 
 
 @pytest.mark.parametrize(
