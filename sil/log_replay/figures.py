@@ -11,12 +11,7 @@ from sil.j1939.summary import J1939Summary
 from sil.log_replay.excerpts import Excerpt, Row
 from sil.log_replay.plant_side import Position
 from sil.log_replay.truck_loop import OurShift
-from sil.log_replay.truck_replay import (
-    ComparedShift,
-    TruckReplay,
-    side_figures,
-    truck_verdict,
-)
+from sil.log_replay.truck_replay import ComparedShift, TruckReplay, side_figures, truck_verdict
 from sil.log_replay.truck_shift import NAMES, PHASES
 from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Stack, Zoom, spans_of
 from sil.shifts.cutter import Shift
@@ -86,10 +81,7 @@ def _over(pieces: Sequence[Piece], value: Callable[[Row], float | None]) -> tupl
 
 
 def _estimates(
-    pieces: Sequence[Piece],
-    labels: tuple[str, str],
-    base_ns: int,
-    positions: Sequence[Position],
+    pieces: Sequence[Piece], labels: tuple[str, str], base_ns: int, positions: Sequence[Position]
 ) -> Panel:
     lines = []
     for side, role, width in ((0, "estimate", 2.6), (1, "alarm", 1.2)):

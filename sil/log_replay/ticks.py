@@ -46,20 +46,13 @@ class TickMap:
         self._from.append(tick)
         self._shift.append((tick - counter) % COUNTERS)
 
-    def counter_at(self, tick: int) -> int:
-        """Return the counter of a tick's frames."""
-        return (tick - self._shift[bisect_right(self._from, tick) - 1]) % COUNTERS
-
     def idle_at(self, tick: int) -> Span | None:
         """Return the ticks that did not run of which this is one."""
         return _holding(self.idle, tick)
 
     def receives(self, time_ns: int) -> bool:
         """Whether the control unit could receive a frame that arrived at a time of the log's clock."""
-        if not self.off_bus:
-            return True
-        grid = self.grid
-        tick = (time_ns - grid.origin_ns) // grid.period_ns
+        tick = (time_ns - self.grid.origin_ns) // self.grid.period_ns
         return _holding(self.off_bus, tick) is None
 
     def tick_of(self, arrival: Arrival) -> int:
@@ -71,8 +64,8 @@ class TickMap:
         latest = self.grid.latest_tick(arrival)
         if arrival.kind not in PROTECTED:
             return latest
-        back = (self.counter_at(latest) - counter_of(arrival.frame)) % COUNTERS
-        tick = latest - back
+        counter = latest - self._shift[bisect_right(self._from, latest) - 1]
+        tick = latest - (counter - counter_of(arrival.frame)) % COUNTERS
         possible = tick >= 0 or not self.grid.exact  # one delayed from before the log's first tick
         return tick if possible and self.idle_at(tick) is None else latest
 

@@ -20,10 +20,7 @@ from sil.recording.recorder import BUS_FRAMES, EVENTS, PLANT_TRACE, TRACE_FORMAT
 from sil.recording.run_record import STORED_FRAME, PlantEvent, RunRecord, StoredFrames
 
 PIECE_S = 60.0
-"""A run up to this long is one piece."""
-
-PIECE_ROWS = 1_000_000
-"""A piece has at most about this many rows of the trace."""
+"""A run up to this long is one piece, if it has at most about a million rows of the trace."""
 
 
 class RowReader:
@@ -107,7 +104,7 @@ class RunReader:
         self._senders = senders
         self._trace = open_trace(folder / PLANT_TRACE)
         self._frames = RowReader(folder / BUS_FRAMES, STORED_FRAME, "arrival")
-        self.piece_s = min(PIECE_S, PIECE_ROWS * trace_period_s)
+        self.piece_s = min(PIECE_S, 1e6 * trace_period_s)
         self.rows = self._trace.rows
         self.end_s = float(self._trace.read(self.rows - 1, self.rows)[0][0]) if self.rows else 0.0
         self.pieces = int(self.end_s // self.piece_s) + 1 if self.end_s > self.piece_s else 1

@@ -63,10 +63,7 @@ def test_a_broadcast_recorded_elsewhere_is_put_together() -> None:
     assert broadcast(65251, 0, found[0].data) == frames
 
 
-@given(
-    data=st.binary(min_size=9, max_size=1785),
-    at_once=st.integers(0, 255),
-)
+@given(data=st.binary(min_size=9, max_size=1785), at_once=st.integers(0, 255))
 @settings(max_examples=30)
 def test_every_payload_comes_back(data: bytes, at_once: int) -> None:
     frames = negotiated(data, at_once) if at_once else broadcast(DM1, ENGINE, data)

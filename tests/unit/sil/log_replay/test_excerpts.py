@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from sil.log_replay.excerpts import (
-    Excerpt,
-    ExcerptRecorder,
-    Row,
-    waveforms,
-)
+from sil.log_replay.excerpts import Excerpt, ExcerptRecorder, Row, waveforms
 
 TICK = 10_000_000
 

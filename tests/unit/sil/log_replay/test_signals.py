@@ -9,14 +9,7 @@ import pytest
 from can_dbc.codec import encode
 from can_dbc.errors import InputError
 from can_dbc.messages import ControllerStatus, Fault, Gear, ShiftState
-from sil.log_replay.signals import (
-    Options,
-    SignalComparer,
-    load_options,
-    same,
-    value_text,
-    values,
-)
+from sil.log_replay.signals import Options, SignalComparer, load_options, same, value_text, values
 
 
 def status(estimate_m: float, state: ShiftState = ShiftState.IDLE) -> tuple[object, ...]:

@@ -30,9 +30,7 @@ def test_hermite_is_scipys(samples: tuple[list[float], list[float], list[float]]
 
 
 @given(SAMPLES)
-def test_monotone_slopes_are_scipys(
-    samples: tuple[list[float], list[float], list[float]],
-) -> None:
+def test_monotone_slopes_are_scipys(samples: tuple[list[float], list[float], list[float]]) -> None:
     times, values, _ = (np.array(s) for s in samples)
     times, values = np.cumsum(times), np.round(values, 3)  # differences that do not underflow
     wanted = PchipInterpolator(times, values).derivative()(times)
