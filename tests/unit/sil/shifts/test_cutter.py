@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -18,9 +18,39 @@ from sil.logs import LogFrame, open_writer
 from sil.shifts.cutter import Shift
 from tests.support.j1939_logs import MS, NOT_AVAILABLE, SEVEN, START_NS, Drive, etc1, etc2, truck
 
+ETC1, ETC2 = 61442, 61445
+
 
 def shifts(log: Iterable[LogFrame] | Path) -> list[Shift]:
     return summarize(log).shifts
+
+
+def of_group(pgn: int, frames: Iterable[LogFrame]) -> list[LogFrame]:
+    return [frame for frame in frames if split_id(frame.can_id).pgn == pgn]
+
+
+def is_etc1(frame: LogFrame) -> bool:
+    return bool(of_group(ETC1, [frame]))
+
+
+def merged(*logs: list[LogFrame]) -> list[LogFrame]:
+    return sorted((frame for log in logs for frame in log), key=lambda frame: frame.time_ns)
+
+
+def echo(
+    frames: list[LogFrame], late_ms: int, channel: str = "can0", source: int = 3
+) -> list[LogFrame]:
+    """The frames as another sender or channel repeats them."""
+    return [
+        f._replace(
+            time_ns=f.time_ns + late_ms * MS, can_id=f.can_id & ~0xFF | source, channel=channel
+        )
+        for f in frames
+    ]
+
+
+def gears(found: Iterable[Shift]) -> list[tuple[int | None, int | None]]:
+    return [(shift.from_gear, shift.to_gear) for shift in found]
 
 
 def plain(found: Iterable[Shift]) -> list[tuple[int, int, int | None, int | None]]:
@@ -72,7 +102,7 @@ def test_chatter_of_one_sample_is_left_out_and_counted() -> None:
     odd = {3_500, 5_400, 11_000, 19_500}
     chattering = [
         frame._replace(data=bytes((frame.data[0] ^ 0x10,)) + frame.data[1:])
-        if frame.can_id & 0xFFFF00 == 0xF00200 and (frame.time_ns - START_NS) // MS in odd
+        if is_etc1(frame) and (frame.time_ns - START_NS) // MS in odd
         else frame
         for frame in log
     ]
@@ -88,7 +118,7 @@ def test_not_available_samples_change_nothing() -> None:
     rng = random.Random(3)
     log = [
         frame._replace(data=bytes((rng.choice((0xFC, 0xEC)),)) + frame.data[1:])
-        if frame.can_id & 0xFFFF00 == 0xF00200 and rng.random() < 0.3
+        if is_etc1(frame) and rng.random() < 0.3
         else frame
         for frame in truck()
     ]
@@ -100,10 +130,6 @@ def test_not_available_samples_change_nothing() -> None:
         assert (shift.from_gear, shift.to_gear) == (old, new)
 
 
-def is_etc1(frame: LogFrame) -> bool:
-    return split_id(frame.can_id).pgn == 61442
-
-
 WITHOUT_FLAG = truck(flags=False)
 
 
@@ -111,7 +137,7 @@ WITHOUT_FLAG = truck(flags=False)
     "log",
     [
         WITHOUT_FLAG,
-        [frame for frame in truck() if not is_etc1(frame)],
+        of_group(ETC2, truck()),
         [f._replace(data=b"\xcc" + f.data[1:]) if is_etc1(f) else f for f in WITHOUT_FLAG],
     ],
     ids=["flag not available", "no ETC1", "flag never moves"],
@@ -119,7 +145,7 @@ WITHOUT_FLAG = truck(flags=False)
 def test_without_the_flag_the_gears_decide(log: list[LogFrame]) -> None:
     found = shifts(log)
     assert {shift.method for shift in found} == {"gear"}
-    assert [(shift.from_gear, shift.to_gear) for shift in found] == [row[2:] for row in SEVEN]
+    assert gears(found) == [row[2:] for row in SEVEN]
     for shift, (begin, end, _, _) in zip(found, SEVEN, strict=True):
         if shift.from_gear:
             assert shift.start_ns - START_NS == pytest.approx((begin + 150) * MS, abs=130 * MS)
@@ -135,12 +161,8 @@ def test_without_etc2_gears_are_unknown() -> None:
 
 def test_gears_reported_for_a_part_of_the_log_name_the_ratios_of_the_rest() -> None:
     """ETC2 is lost from the fourth shift on; gears 5 and 3 are known by their ratio."""
-    log = [
-        frame
-        for frame in truck(speeds=True)
-        if split_id(frame.can_id).pgn != 61445 or frame.time_ns < START_NS + 14_000 * MS
-    ]
-    found = shifts(log)
+    end_ns = START_NS + 14_000 * MS
+    found = shifts(f for f in truck(speeds=True) if is_etc1(f) or f.time_ns < end_ns)
     assert (found[3].from_gear, found[3].to_gear) == (3, 5)
     assert found[6].to_gear == 5
 
@@ -162,7 +184,7 @@ def test_transport_protocol_and_lockstep_twins_are_other_groups() -> None:
     log = []
     for frame in truck():
         log.append(frame)
-        if split_id(frame.can_id).pgn == 61442:
+        if is_etc1(frame):
             flipped = bytes((frame.data[0] ^ 0x10,)) + frame.data[1:]
             log.append(frame._replace(can_id=0x1CEBFF03, data=flipped))
             log.append(frame._replace(can_id=frame.can_id | 1 << 25, data=flipped))
@@ -180,8 +202,7 @@ def test_short_frames_are_counted() -> None:
 
 def test_several_senders_are_followed_apart() -> None:
     other: Drive = [(3_000, 3_500, 1, 2), (12_000, 12_800, 2, 4)]
-    log = sorted(truck() + truck(other, source=5), key=lambda frame: frame.time_ns)
-    found = shifts(log)
+    found = shifts(merged(truck(), truck(other, source=5)))
     assert plain(s for s in found if s.source == 3) == SEVEN
     assert plain(s for s in found if s.source == 5) == other
     assert [s.start_ns for s in found] == sorted(s.start_ns for s in found)
@@ -189,48 +210,34 @@ def test_several_senders_are_followed_apart() -> None:
 
 def test_gears_of_another_sender_serve() -> None:
     """ETC1 from the clutch unit, ETC2 from the transmission: one of each on the bus."""
-    flags, gears = truck(gears=False, source=9), truck(flags=False, source=3)
-    log = flags + [frame for frame in gears if split_id(frame.can_id).pgn == 61445]
-    assert plain(shifts(sorted(log, key=lambda frame: frame.time_ns))) == SEVEN
+    flags = truck(gears=False, source=9)
+    assert plain(shifts(merged(flags, of_group(ETC2, truck(flags=False))))) == SEVEN
 
 
-def test_a_gateway_shows_each_shift_once_more() -> None:
-    forwarded = [
-        frame._replace(time_ns=frame.time_ns + 3 * MS, channel="can1") for frame in truck()
-    ]
-    log = sorted(truck() + forwarded, key=lambda frame: frame.time_ns)
-    summary = summarize(log)
+@pytest.mark.parametrize(
+    ("repeated", "note"),
+    [
+        (echo(truck(), 3, channel="can1"), "shifts on channel can1 repeat those on can0"),
+        (echo(of_group(ETC1, truck()), 8, source=0x27), "shifts of 0x27 repeat those of 0x03"),
+    ],
+    ids=["a gateway", "another unit"],
+)
+def test_a_flag_that_is_repeated_shows_no_shift_twice(repeated: list[LogFrame], note: str) -> None:
+    summary = summarize(merged(repeated, truck()))
     assert plain(summary.shifts) == SEVEN
-    assert summary.notes == ["shifts on channel can1 repeat those on can0"]
-
-
-def test_another_unit_that_repeats_the_flag_shows_no_shift_twice() -> None:
-    echo = [
-        frame._replace(time_ns=frame.time_ns + 8 * MS, can_id=frame.can_id & ~0xFF | 0x27)
-        for frame in truck(gears=False)
-        if split_id(frame.can_id).pgn == 61442
-    ]
-    summary = summarize(sorted(echo + truck(), key=lambda frame: frame.time_ns))
-    assert plain(summary.shifts) == SEVEN
-    assert {shift.source for shift in summary.shifts} == {3}
-    assert summary.notes == ["shifts of 0x27 repeat those of 0x03"]
+    assert {(shift.source, shift.channel) for shift in summary.shifts} == {(3, "can0")}
+    assert summary.notes == [note]
 
 
 def test_gears_alone_on_another_channel_show_no_shift_twice() -> None:
-    forwarded = [
-        frame._replace(time_ns=frame.time_ns + 5 * MS, channel="can1")
-        for frame in truck()
-        if split_id(frame.can_id).pgn == 61445
-    ]
-    summary = summarize(sorted(truck() + forwarded, key=lambda frame: frame.time_ns))
+    summary = summarize(merged(truck(), echo(of_group(ETC2, truck()), 5, channel="can1")))
     assert plain(summary.shifts) == SEVEN and not summary.unflagged
 
 
 def test_gears_alone_of_two_senders_show_no_shift_twice() -> None:
-    gears = [f for f in truck(flags=False) if split_id(f.can_id).pgn == 61445]
-    echo = [f._replace(time_ns=f.time_ns + 40 * MS, can_id=f.can_id & ~0xFF | 0x27) for f in gears]
-    found = shifts(sorted(gears + echo, key=lambda frame: frame.time_ns))
-    assert [(s.from_gear, s.to_gear) for s in found] == [(old, new) for _, _, old, new in SEVEN]
+    log = of_group(ETC2, truck(flags=False))
+    found = shifts(merged(log, echo(log, 40, source=0x27)))
+    assert gears(found) == [row[2:] for row in SEVEN]
 
 
 def test_without_gears_the_ratios_are_reported() -> None:
@@ -244,7 +251,7 @@ def test_duplicated_frames_are_no_second_sample() -> None:
     odd = START_NS + 3_500 * MS
     log = [
         frame._replace(data=b"\xdc" + frame.data[1:])
-        if split_id(frame.can_id).pgn == 61442 and odd <= frame.time_ns < odd + MS
+        if is_etc1(frame) and odd <= frame.time_ns < odd + MS
         else frame
         for frame in log
     ]
@@ -254,10 +261,8 @@ def test_duplicated_frames_are_no_second_sample() -> None:
 
 
 def test_shifts_cut_off_by_the_log_are_reported() -> None:
-    log = [
-        frame for frame in truck() if START_NS + 2_300 * MS < frame.time_ns < START_NS + 24_400 * MS
-    ]
-    summary = summarize(log)
+    begun, end = START_NS + 2_300 * MS, START_NS + 24_400 * MS
+    summary = summarize(frame for frame in truck() if begun < frame.time_ns < end)
     assert plain(summary.shifts) == SEVEN[1:6]
     assert summary.unfinished == 2
     assert "2 shifts without beginning or end in the log" in summary.lines()
@@ -301,26 +306,18 @@ def test_slow_etc1_is_believed() -> None:
 
 def test_gear_changes_outside_of_shifts_are_reported_apart() -> None:
     """Rolling out of gear at a stop is no flagged shift."""
-    log = truck()
-    late = [
-        frame
-        for frame in log
-        if not (split_id(frame.can_id).pgn == 61445 and frame.time_ns > START_NS + 26_500 * MS)
-    ]
-    late += [etc2(27_000 + 100 * i, 0, 0) for i in range(5)]
-    summary = summarize(sorted(late, key=lambda frame: frame.time_ns))
+    end_ns = START_NS + 26_500 * MS
+    log = [frame for frame in truck() if is_etc1(frame) or frame.time_ns <= end_ns]
+    summary = summarize(merged(log, [etc2(27_000 + 100 * i, 0, 0) for i in range(5)]))
     assert plain(summary.shifts) == SEVEN
-    assert [(s.from_gear, s.to_gear) for s in summary.unflagged] == [(5, 0)]
+    assert gears(summary.unflagged) == [(5, 0)]
     assert any("outside of flagged shifts" in line for line in summary.lines())
 
 
 def test_one_odd_gear_sample_is_chatter() -> None:
     log = truck(flags=False)
-    at = next(
-        i
-        for i, frame in enumerate(log)
-        if split_id(frame.can_id).pgn == 61445 and frame.time_ns > START_NS + 17_500 * MS
-    )
+    odd_ns = START_NS + 17_500 * MS
+    at = next(i for i, f in enumerate(log) if not is_etc1(f) and f.time_ns > odd_ns)
     log[at] = etc2((log[at].time_ns - START_NS) / MS, 11, 6)
     summary = summarize(log)
     assert len(summary.shifts) == 7
@@ -342,10 +339,8 @@ def test_logs_without_shifts_say_why(log: list[LogFrame], note: str) -> None:
 
 
 def test_a_missing_file_is_an_input_error(tmp_path: Path) -> None:
-    for read in (shifts, summarize):
-        reading: Callable[[Path], object] = read
-        with pytest.raises(InputError, match="No such file"):
-            reading(tmp_path / "missing.log")
+    with pytest.raises(InputError, match="No such file"):
+        summarize(tmp_path / "missing.log")
 
 
 @st.composite
@@ -410,10 +405,8 @@ def test_a_change_of_gear_during_silence_has_no_shift_time() -> None:
 
 
 def test_a_log_sampled_slowly_is_not_silent() -> None:
-    frames = [
-        etc2(time_ms, 1 if time_ms < 20_000 else 2, None) for time_ms in range(0, 40_000, 2_000)
-    ]
-    assert [(s.from_gear, s.to_gear) for s in shifts(frames)] == [(1, 2)]
+    frames = [etc2(ms, 1 if ms < 20_000 else 2, None) for ms in range(0, 40_000, 2_000)]
+    assert gears(shifts(frames)) == [(1, 2)]
 
 
 def test_a_gap_within_a_flagged_shift_is_stated() -> None:
