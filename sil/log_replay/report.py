@@ -305,20 +305,17 @@ def _account_line(outcome: ReplayResult) -> str:
 def account_lines(outcome: ReplayResult) -> list[str]:
     """Return how many frames of each message were read, by what they were used for."""
     account = outcome.account
-    parts = {
-        "inputs": account.inputs,
-        "inputs not heard": account.unheard,
-        "answers": account.answers,
-        "plant": account.plant,
-        "others": account.other,
-    }
-    rows = [
-        *((title, sorted(c.items())) for title, c in parts.items()),
+    parts = (
+        ("inputs", sorted(account.inputs.items())),
+        ("inputs not heard", sorted(account.unheard.items())),
+        ("answers", sorted(account.answers.items())),
+        ("plant", sorted(account.plant.items())),
+        ("others", sorted(account.other.items())),
         ("foreign", outcome.foreign),
-    ]
+    )
     return [
         f"{title}: {', '.join(f'{count} {name}' for name, count in counts)}"
-        for title, counts in rows
+        for title, counts in parts
         if counts
     ]
 
