@@ -204,15 +204,11 @@ def _summary(arguments: argparse.Namespace) -> int:
     summary = summarize(reader)
     report = reader.report
     if not any(pgn in (PGN_ETC1, PGN_ETC2) for pgn, _ in summary.groups):
-        raise InputError(
-            f"{reader.path}: no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {summary.frames} "
-            "frames; expected a log of a truck's transmission"
-        )
+        what = f"no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {summary.frames} frames"
+        raise InputError(f"{reader.path}: {what}; expected a log of a truck's transmission")
     if report.time_base == "none":
-        raise InputError(
-            f"{reader.path}: has no times, so that no shift time is known; expected a log with times "
-            "(candump -L or -ta)"
-        )
+        what = "has no times, so that no shift time is known"
+        raise InputError(f"{reader.path}: {what}; expected a log with times (candump -L or -ta)")
     values = summary.as_dict() | {"log_report": report.as_dict()}
     lines = [f"{reader.path}: " + "\n".join(summary.lines())]
     if report.files or report.notes or not report.clean:

@@ -65,15 +65,11 @@ def _shift_line(shift: Shift) -> str:
         line += f", impact {shift.impact_speed_m_s:.2f} m/s ({shift.impact_energy_j:.1f} J)"
     worst = max(shift.impacts, key=lambda impact: impact.energy_j, default=None)
     if worst is not None and worst.name != "stay_stop":
-        line += (
-            f"; hardest impact: {worst.name.replace('_', ' ')}, {worst.energy_j:.2f} J, "
-            f"{1e-3 * worst.peak_force_n:.1f} kN"
-        )
+        figures = f"{worst.energy_j:.2f} J, {1e-3 * worst.peak_force_n:.1f} kN"
+        line += f"; hardest impact: {worst.name.replace('_', ' ')}, {figures}"
     if shift.confirmed_early_s:
         line += f"; CONFIRMED {1e3 * shift.confirmed_early_s:.0f} ms BEFORE IT ARRIVED"
     if shift.position_lag_10_s is not None and shift.position_lag_90_s is not None:
-        line += (
-            f"; controller's position late by {1e3 * shift.position_lag_10_s:.0f} ms at 10 %, "
-            f"{1e3 * shift.position_lag_90_s:.0f} ms at 90 % of travel"
-        )
+        early, late = 1e3 * shift.position_lag_10_s, 1e3 * shift.position_lag_90_s
+        line += f"; controller's position late by {early:.0f} ms at 10 %, {late:.0f} ms at 90 % of travel"
     return line

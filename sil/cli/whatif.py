@@ -96,10 +96,9 @@ def _folder(study: Study, arguments: argparse.Namespace) -> Path:
         return reopen_folder(out)
     stored = None if arguments.force else rows_to_resume(study, out)
     if stored is not None:
-        raise InputError(
-            f"{out}: --out: holds {stored} of {counted(study.size, 'row')} of this study; "
-            "expected --resume to continue it, or --force to replace it"
-        )
+        what = f"holds {stored} of {counted(study.size, 'row')} of this study"
+        expected = "expected --resume to continue it, or --force to replace it"
+        raise InputError(f"{out}: --out: {what}; {expected}")
     return prepare_folder(out, study.file.name, arguments.force)
 
 

@@ -102,10 +102,10 @@ class BusModel:
         mailboxes: Container[int] = (),
     ) -> None:
         if not 10_000 <= bitrate <= 1_000_000 or NS_PER_S % bitrate:
-            raise InputError(
-                f"bus: bitrate: {bitrate} bit/s; expected 10000 to 1000000 with a bit of whole ns, "
-                "such as 125000, 250000, 500000 or 1000000"
+            rates = (
+                "10000 to 1000000 with a bit of whole ns, such as 125000, 250000, 500000 or 1000000"
             )
+            raise InputError(f"bus: bitrate: {bitrate} bit/s; expected {rates}")
         self.bitrate = bitrate
         self.bit_ns = NS_PER_S // bitrate
         self.statistics = BusStatistics()

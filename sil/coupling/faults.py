@@ -282,10 +282,9 @@ class FaultPlan:
             else:
                 selection = _Selection(fault, window, f"{seed}:{name}:{fault.message}")
                 if isinstance(fault, FrozenCounter) and selection.message_type not in PROTECTED:
-                    raise InputError(
-                        f"{name}.message: {fault.message} carries no counter; expected one of "
-                        + ", ".join(kind.__name__ for kind in PROTECTED)
-                    )
+                    expected = f"one of {', '.join(kind.__name__ for kind in PROTECTED)}"
+                    what = f"{name}.message: {fault.message} carries no counter"
+                    raise InputError(f"{what}; expected {expected}")
                 self._by_fault[index] = selection
         # Error frames first: what they hit does not arrive yet, so nothing else can happen to it.
         selections = self._by_fault.values()

@@ -156,11 +156,9 @@ class Lockstep:
         frames, next_ns = turn
         for release_ns, frame in frames:
             if release_ns < now_ns or not can_be_offered(frame):
-                raise ParticipantLost(
-                    name,
-                    f"released {frame} at {release_ns} ns, granted {now_ns} ns; expected a "
-                    "classic 29-bit frame with EDP clear, not released before the grant",
-                )
+                expected = "a classic 29-bit frame with EDP clear, not released before the grant"
+                what = f"released {frame} at {release_ns} ns, granted {now_ns} ns"
+                raise ParticipantLost(name, f"{what}; expected {expected}")
             self._bus.queue(release_ns, frame, name)
         self._next[name] = self._running_event(name, next_ns, now_ns, next_ns - now_ns)
         if self._next[name] >= NEVER_NS > next_ns:

@@ -96,10 +96,8 @@ def database_messages(database: Database, source: str = "DBC") -> tuple[Periodic
     periodic = [message for message in database.messages if message.cycle_time]
     for message in periodic:
         if message.length > 8:
-            raise InputError(
-                f"{source}: {message.name}: {message.length} bytes; "
-                "expected at most 8, the analysis covers classic CAN only"
-            )
+            expected = "expected at most 8, the analysis covers classic CAN only"
+            raise InputError(f"{source}: {message.name}: {message.length} bytes; {expected}")
     if not periodic:
         raise InputError(
             f"{source}: no message has a cycle time (GenMsgCycleTime); expected at least one, or a log "
@@ -132,16 +130,13 @@ def response_times(messages: Sequence[PeriodicMessage], bitrate: int) -> tuple[R
     ranked = sorted(messages, key=lambda message: message.rank)
     for message in ranked:
         if message.period_ns <= 0 or message.jitter_ns < 0:
-            raise InputError(
-                f"bus: {message.name}: period {message.period_ns} ns, jitter {message.jitter_ns} "
-                "ns; expected a period above 0 and a jitter of at least 0"
-            )
+            what = f"period {message.period_ns} ns, jitter {message.jitter_ns} ns"
+            expected = "expected a period above 0 and a jitter of at least 0"
+            raise InputError(f"bus: {message.name}: {what}; {expected}")
     for first, second in pairwise(ranked):
         if first.rank == second.rank:
-            raise InputError(
-                f"bus: {first.name} and {second.name} share identifier {first.can_id:#x}; "
-                "expected different identifiers"
-            )
+            what = f"{first.name} and {second.name} share identifier {first.can_id:#x}"
+            raise InputError(f"bus: {what}; expected different identifiers")
     total = utilisation(ranked, bitrate)
     if total > 1:
         raise InputError(

@@ -121,10 +121,9 @@ def response_check(scenario: Scenario, figures: dict[str, Any]) -> list[Check]:
     """Return the check that no frame was later than its worst case, unless faults or others' frames are there."""
     if scenario.fault or scenario.bus.extra_load > 0.0 or scenario.bus.guest:
         return []
-    late = [
-        m["name"]
-        for m in figures["messages"]
-        if m["longest_response_s"] is not None
-        and (m["worst_case_s"] is None or m["longest_response_s"] > m["worst_case_s"])
-    ]
+    late = []
+    for m in figures["messages"]:
+        longest_s, worst_s = m["longest_response_s"], m["worst_case_s"]
+        if longest_s is not None and (worst_s is None or longest_s > worst_s):
+            late.append(m["name"])
     return [Check(name="frames later than their worst case", passed=not late, value=late, limit=[])]

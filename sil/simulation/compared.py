@@ -26,8 +26,7 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     title: str
     values: list[float | None]
-    differences: list[float | None]
-    """Of each run to the first one."""
+    differences: list[float | None]  # of each run to the first one
 
     @property
     def is_changed(self) -> bool:

@@ -66,10 +66,9 @@ class FreeRun:
         # the clocks of the nodes know neither instants of the run nor how long chambers stay charged
         for key in (*FAULT_TABLES, "bus.guest", "plant.charged"):
             if attrgetter(key)(scenario):
-                raise InputError(
-                    f"{loaded.source}: {key}: of a lockstep run only; expected none on a free-running "
-                    "bus, or --speed 1, which paces a lockstep run"
-                )
+                expected = "none on a free-running bus, or --speed 1, which paces a lockstep run"
+                what = f"{key}: of a lockstep run only"
+                raise InputError(f"{loaded.source}: {what}; expected {expected}")
         self._loaded, self._folder = loaded, folder
         self.warnings: list[str] = []
         self._children: list[ChildProcess] = []
@@ -117,17 +116,14 @@ class FreeRun:
         worst_s = 0.0
         for m in figures["messages"]:
             if (m["missing"] or 0) > 0.05 * m["frames"]:
-                self.warnings.append(
-                    f"{m['name']}: {counted(m['missing'], 'frame')} missing, {m['frames']} on "
-                    "the bus; this machine was too busy, or its sender was away"
-                )
+                what = f"{counted(m['missing'], 'frame')} missing, {m['frames']} on the bus"
+                why = "this machine was too busy, or its sender was away"
+                self.warnings.append(f"{m['name']}: {what}; {why}")
             if (m["jitter_max_s"] or 0.0) > 0.5 * m["period_s"]:
                 worst_s = max(worst_s, m["jitter_max_s"])
         if worst_s:
-            self.warnings.append(
-                f"frames up to {1e3 * worst_s:.1f} ms off their period: this machine was too busy "
-                "for limits on times"
-            )
+            why = "this machine was too busy for limits on times"
+            self.warnings.append(f"frames up to {1e3 * worst_s:.1f} ms off their period: {why}")
         return RunSummary(0, figures["frames"], wall_s, None)
 
     def figures(self) -> dict[str, Any]:

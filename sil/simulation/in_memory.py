@@ -41,15 +41,12 @@ class Run:
     """A finished run of `scenario`."""
 
     loaded: Loaded
-    record: RunRecord
-    """The plant's true states, its events and every frame."""
+    record: RunRecord  # the plant's true states, its events and every frame
     shifts: list[metrics.Shift]
-    metrics: dict[str, Any]
-    """The metrics of result.json."""
+    metrics: dict[str, Any]  # the metrics of result.json
     balances: dict[str, Any]
     rows: np.ndarray
-    firmware: Cost | None = None
-    """What the steps of a firmware in C cost."""
+    firmware: Cost | None = None  # what the steps of a firmware in C cost
 
     @cached_property
     def checks(self) -> list[Check]:

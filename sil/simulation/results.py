@@ -53,8 +53,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     model: Any
 
     status: Literal["passed", "failed", "incomplete"] = "incomplete"
-    warnings: list[str] = []
-    """What is likely to be a mistake in the scenario, with the cause."""
+    warnings: list[str] = []  # what is likely to be a mistake in the scenario, with the cause
     changes: Any = None
     """What changed values change against a shipped scenario: `sil.simulation.compared.Changes`."""
 

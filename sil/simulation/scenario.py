@@ -188,23 +188,17 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
             yield f"{key}; expected before the end, {end} s"
         last = request.at_s
     if scenario.trace_period_s > 0.1 * end:
-        yield (
-            f"trace_period_s: {scenario.trace_period_s}; expected at most a tenth of duration_s, "
-            f"{0.1 * end:g} s"
-        )
+        expected = f"expected at most a tenth of duration_s, {0.1 * end:g} s"
+        yield f"trace_period_s: {scenario.trace_period_s}; {expected}"
     if scenario.bus.extra_load > 0.95 and scenario.bus.send_buffer is None:
-        yield (
-            "bus.send_buffer: missing; expected a number of frames, since more waits than can be "
-            f"sent with extra_load {scenario.bus.extra_load:g}"
-        )
+        why = f"more waits than can be sent with extra_load {scenario.bus.extra_load:g}"
+        yield f"bus.send_buffer: missing; expected a number of frames, since {why}"
     if scenario.controller.ns_per_instruction and not in_module(scenario.firmware):
-        yield (
-            "controller.ns_per_instruction: given; expected none, since only the instructions of a "
-            "firmware in C are counted"
-        )
-    if scenario.vehicle is not None and scenario.driver != DriverTable():
-        yield "driver: given; expected none with [vehicle], which has its own periods"
+        why = "only the instructions of a firmware in C are counted"
+        yield f"controller.ns_per_instruction: given; expected none, since {why}"
     if scenario.vehicle is not None:
+        if scenario.driver != DriverTable():
+            yield "driver: given; expected none with [vehicle], which has its own periods"
         gears = scenario.vehicle.gear_backward, scenario.vehicle.gear_forward
         if 0 in gears or gears[0] == gears[1]:
             yield f"vehicle.gear_backward, gear_forward: {gears[0]}, {gears[1]}; expected two different gears, none of them 0"

@@ -136,10 +136,9 @@ def completed(study: Study, folder: Path) -> tuple[int, int]:
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{state}: not the state of a sweep; expected one begun here") from None
     if changed := changed_inputs(inputs, study.input_digests()):
-        raise InputError(
-            f"{folder}: holds the rows of another study: {', '.join(changed)} changed since; expected all as it "
-            "was, --force or another --out"
-        )
+        remedy = "expected all as it was, --force or another --out"
+        what = f"holds the rows of another study: {', '.join(changed)} changed since"
+        raise InputError(f"{folder}: {what}; {remedy}")
     path = folder / RESULTS
     content = path.read_bytes()
     length = content.rfind(b"\n") + 1

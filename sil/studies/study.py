@@ -164,8 +164,7 @@ class Study:
     file: StudyFile
     source: str
     base: tuple[dict[str, Any], Path] | None = None
-    folder: Path | None = None
-    """Where its rows may store what they have found."""
+    folder: Path | None = None  # where its rows may store what they have found
 
     def input_digests(self) -> dict[str, str]:
         """Return what decides the rows, by name, as `sil.simulation.inputs.input_digests` does."""

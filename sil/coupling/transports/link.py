@@ -107,10 +107,9 @@ class CanLink:
             self._lifeline.connect(lifeline_address(self._can.interface))
             self._lifeline.send(bytes([number]))
         except OSError as error:
-            raise RunError(
-                f"channel {self._can.interface!r}: its coordinator is not reached by Unix socket "
-                f"({error.strerror}); expected one on this machine"
-            ) from None
+            what = f"its coordinator is not reached by Unix socket ({error.strerror})"
+            expected = "expected one on this machine"
+            raise RunError(f"channel {self._can.interface!r}: {what}; {expected}") from None
         self._poll.register(self._lifeline.fileno(), select.POLLIN)
 
     def close(self) -> None:

@@ -84,8 +84,7 @@ class Peer:
 class RemoteChannel(Channel, Server):
     """A `Channel` to other processes: handshake, turns, timeouts; subclasses move the records."""
 
-    where: str
-    """How a program joins this channel, for messages."""
+    where: str  # how a program joins this channel, for messages
 
     def __init__(
         self,
@@ -259,7 +258,5 @@ class RemoteChannel(Channel, Server):
             raise ParticipantLost(peer.name, how or what)
 
     def _warn_foreign(self) -> None:
-        self.warn(
-            "frames of programs that take no part in the run were ignored: their instants depend on "
-            "the wall clock, so the run could not be repeated"
-        )
+        why = "their instants depend on the wall clock, so the run could not be repeated"
+        self.warn(f"frames of programs that take no part in the run were ignored: {why}")

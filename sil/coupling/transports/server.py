@@ -149,10 +149,8 @@ class Server:
             self._disconnect(connection)
             return
         if connection.backlog_bytes > MONITOR_BACKLOG_BYTES:
-            self.warn(
-                f"a monitor that did not read was disconnected "
-                f"({connection.backlog_bytes >> 20} MiB of frames waited for it)"
-            )
+            waited = f"{connection.backlog_bytes >> 20} MiB of frames waited for it"
+            self.warn(f"a monitor that did not read was disconnected ({waited})")
             self._disconnect(connection)
         else:
             self._poll.modify(connection.fileno, select.EPOLLIN | select.EPOLLOUT)

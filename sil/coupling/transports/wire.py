@@ -178,8 +178,7 @@ def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
         raise WireError(f"{len(records)} bytes; expected a multiple of {RECORD_BYTES}")
     for flagged_id, length, payload in SOCKETCAN_FRAME.iter_unpack(records):
         if flagged_id & ~MAX_ID != SOCKETCAN_EXTENDED or length > MAX_LENGTH:
-            raise WireError(
-                f"record with identifier word 0x{flagged_id:08X} and length {length}; "
-                "expected a classic data frame with a 29-bit identifier"
-            )
+            what = f"record with identifier word 0x{flagged_id:08X} and length {length}"
+            expected = "expected a classic data frame with a 29-bit identifier"
+            raise WireError(f"{what}; {expected}")
         yield flagged_id & MAX_ID, payload[:length]
