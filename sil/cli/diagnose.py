@@ -72,11 +72,17 @@ def run(arguments: argparse.Namespace) -> int:
     for item in arguments.campaign:
         if not Path(item).exists():
             raise InputError(f"{item}: does not exist; expected a campaign folder or CAN logs")
-    if all(Path(item).is_file() and Path(item).suffix != ".toml" for item in arguments.campaign):
+    paths = [Path(item) for item in arguments.campaign]
+    of_truck = all(path.is_file() and path.suffix != ".toml" for path in paths)
+    if of_truck:
         _refuse(arguments, ["next"], "not with CAN logs; expected a campaign folder")
-        return run_logs(arguments)
-    _refuse(arguments, ["map", "dbc"], "not together with a campaign; expected CAN logs")
-    return run_campaigns(arguments)
+    else:
+        _refuse(arguments, ["map", "dbc"], "not together with a campaign; expected CAN logs")
+    from plant.effects.user_file import load_effects
+
+    # before the modules that list what the catalogue holds
+    stamps = [load_effects(file) for file in arguments.effects]
+    return run_logs(arguments, stamps) if of_truck else run_campaigns(arguments, stamps)
 
 
 def _refuse(arguments: argparse.Namespace, options: Sequence[str], why: str) -> None:
@@ -86,12 +92,8 @@ def _refuse(arguments: argparse.Namespace, options: Sequence[str], why: str) -> 
             raise InputError(f"--{option}: {why}")
 
 
-def run_campaigns(arguments: argparse.Namespace) -> int:
+def run_campaigns(arguments: argparse.Namespace, stamps: list[str]) -> int:
     """Diagnose a unit by its campaigns; 1 if not consistent. Raises InputError if they do not go together."""
-    from plant.effects.user_file import load_effects
-
-    # before the modules below, which list what the catalogue holds
-    stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load
     from sil.campaign.campaign import joined, load_campaign
     from sil.inference.campaign.diagnosis import diagnose
@@ -103,8 +105,7 @@ def run_campaigns(arguments: argparse.Namespace) -> int:
         if is_force_rig(item):
             if len(folders) > 1:
                 raise InputError(f'{item}: rig = "force" among other campaigns; expected it alone')
-            why = 'not together with rig = "force"; expected none'
-            _refuse(arguments, ["model", "next"], why)
+            _refuse(arguments, ["model", "next"], 'not together with rig = "force"; expected none')
             return run_force(arguments, item, stamps)
     campaign = joined([load_campaign(item) for item in folders])
     parameters = load(arguments.model)
@@ -170,11 +171,8 @@ def run_force(arguments: argparse.Namespace, campaign: str, stamps: list[str]) -
     return _finish(arguments, folder, finite(found.as_json() | {"effects": stamps}))
 
 
-def run_logs(arguments: argparse.Namespace) -> int:
+def run_logs(arguments: argparse.Namespace, stamps: list[str]) -> int:
     """Diagnose a truck by the shifts in its logs; 1 if not consistent. Raises InputError for unusable logs."""
-    from plant.effects.user_file import load_effects
-
-    stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load_actuator
     from sil.inference.truck.diagnosis import judge, shifts_of_truck
     from sil.inference.truck.page import as_json, write_files
