@@ -117,7 +117,7 @@ class _Output(io.FileIO):
 
 
 def command() -> NoReturn:
-    """Be the process `opc4`: SIGTERM and SIGHUP end it as Ctrl-C does; closed standard streams are null devices."""
+    """Be the process `opc4`, which SIGTERM and SIGHUP end as Ctrl-C does; closed streams are null."""
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the matrices are small: threads only wait for each other
     gc.set_threshold(50_000, 10, 10)  # what is imported stays: looking there is a tenth of a run

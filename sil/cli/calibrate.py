@@ -46,7 +46,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; write the model file and its page; 1 if it is not good enough. Raises InputError for bad input."""
+    """Calibrate; write model file and page; 1 if it is not good enough. Raises InputError."""
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite
     from sil.inference.calibrate.output import model_text, write_page

@@ -62,7 +62,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent. Raises InputError."""
+    """Diagnose; write verdict, extended model and page; 1 if not consistent. Raises InputError."""
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     if arguments.new is not None:

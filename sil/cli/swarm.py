@@ -39,7 +39,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Hunt until the time or the number of runs is over; return the exit code. Raises InputError and RunError."""
+    """Hunt until time or runs are over; return the exit code. Raises InputError and RunError."""
     import msgspec
 
     from sil.files.progress import Progress

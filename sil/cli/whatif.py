@@ -37,7 +37,7 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the rows, write table, summary, figures and page; return the exit code. Raises InputError and RunError."""
+    """Run the rows and write what they give; return the exit code. Raises InputError and RunError."""
     from sil.files.atomic import write_atomically
     from sil.files.progress import Progress
     from sil.studies.executor import run_study

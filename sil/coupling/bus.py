@@ -45,7 +45,7 @@ class Transmission(NamedTuple):
 
 
 class ErrorFrame(NamedTuple):
-    """All nodes rejected a transmission for its CRC. With `retransmit` it competes again at once, else it is lost."""
+    """All nodes rejected a transmission for its CRC; it is sent again with `retransmit`, else lost."""
 
     retransmit: bool = True
 

@@ -333,7 +333,7 @@ class FaultPlan:
         return frozenset(off + [m.node for m in self._misfits if m.acts(instant_ns)])
 
     def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
-        """Return the first event from `event_ns` on at which a node runs; `NEVER_NS`: none. period_ns: its last step."""
+        """Return a node's first event from `event_ns` on; `NEVER_NS`: none. period_ns: its last step."""
         moved = True
         while moved and event_ns < NEVER_NS:
             moved = False

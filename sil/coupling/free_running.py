@@ -110,7 +110,7 @@ class FreeNode:
         """Frames sent and lost, steps missed and the like, by name."""
 
     def run(self, stop: threading.Event, duration_s: float | None = None) -> None:
-        """Run for the duration, until `stop`, or until a local bus ends. Raises RunError when the bus is gone."""
+        """Run for the duration, until `stop`, or a local bus ends. Raises RunError for a bus that is gone."""
         next_ns = self._participant.start()
         end_ns = None if duration_s is None else next_ns + round(duration_s * NS_PER_S)
         self.pacer.wait(next_ns, time.sleep)

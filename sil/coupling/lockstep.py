@@ -76,7 +76,7 @@ class Lockstep:
         self.close()
 
     def close(self) -> None:
-        """End participants and channels, aborted if unfinished. Raises RunError if one of a finished run cannot close."""
+        """End participants and channels, aborted if unfinished. Raises RunError if one cannot close."""
         failures = []
         for channel in self._channels:
             try:

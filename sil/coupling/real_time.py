@@ -66,7 +66,7 @@ class Pacer:
         self._overruns = 0
 
     def wait(self, simulated_ns: int, idle: Callable[[float], None]) -> None:
-        """Return when the wall clock has reached the instant, at once the first time; `idle(s)` passes long waits."""
+        """Return when the wall clock is there, at once the first time; `idle(s)` passes long waits."""
         if self._origin_simulated is None:
             self._origin_wall = self._clock()
             self._origin_simulated = simulated_ns

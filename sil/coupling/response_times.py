@@ -56,7 +56,7 @@ class PeriodicMessage:
 
 @dataclass(frozen=True, slots=True)
 class ResponseTime:
-    """C, B and R of one message in ns; R from the start of the period, jitter included, to the intermission's end."""
+    """C, B and R of one message in ns; R from the period's start, jitter included, to the next frame."""
 
     message: PeriodicMessage
     transmission_ns: int

@@ -220,6 +220,6 @@ def _ends(values: Iterable[float]) -> list[float]:
 def spans_of(
     times: Sequence[float] | Floats, on: Sequence[Any], end: float
 ) -> list[tuple[float, float]]:
-    """Return (start, end) of each time in which a switch is `on` [n] from `times` [n], ascending, in any unit."""
+    """Return (start, end) of each time in which a switch is `on` [n] from `times` [n] on."""
     edges = [*times, end]
     return [(float(edges[a]), float(edges[b])) for a, b in true_runs(np.array(on, dtype=bool))]

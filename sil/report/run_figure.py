@@ -366,7 +366,7 @@ def states_panel(record: RunRecord) -> Panel:
 
 
 def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[float, float, str]]:
-    """Return (start, end, state) in s of reports [n] at times [n], SILENT where three are missing; end: of the run."""
+    """Return (start, end, state) in s of reports [n] at times [n], SILENT where three are missing."""
     if len(times) == 0:
         return [(0.0, end, SILENT)]
     step = float(np.median(np.diff(times))) if len(times) > 1 else end

@@ -118,7 +118,7 @@ def overload(figures: dict[str, Any]) -> list[str]:
 
 
 def response_check(scenario: Scenario, figures: dict[str, Any]) -> list[Check]:
-    """Return the check that no frame was later than its worst case, unless faults or others' frames are there."""
+    """Return the check that no frame exceeded its worst case, unless faults or others send."""
     if scenario.fault or scenario.bus.extra_load > 0.0 or scenario.bus.guest:
         return []
     late = []

@@ -117,7 +117,7 @@ class Run:
 
 
 def run_in_memory(loaded: Loaded) -> Run:
-    """Run a scenario as `opc4 run` does in one process. Raises InputError, or RunError if a participant fails."""
+    """Run a scenario as `opc4 run` does. Raises InputError, or RunError if a participant fails."""
     loop = Loop(loaded)
     loop.finish()
     return finished(loop)

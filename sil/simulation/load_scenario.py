@@ -74,7 +74,7 @@ def read(where: str) -> tuple[dict[str, Any], Path]:
 def from_table(
     table: Mapping[str, Any], source: str, *, folder: Path = Path(), **given: Unpack[Overrides]
 ) -> Loaded:
-    """Build a scenario from a parsed file of this `source`, model files in `folder`. Raises InputError as `load`."""
+    """Build a scenario from a parsed `source`, model files in `folder`. Raises InputError as `load`."""
     model, seed = given.get("model"), given.get("seed")
     settings, effects = given.get("settings", {}), given.get("effects", ())
     raw = copy.deepcopy(dict(table))

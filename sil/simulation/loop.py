@@ -122,7 +122,7 @@ _MAKERS = (
 
 
 def save(loop: Loop, path: Path) -> None:
-    """Write a state after a line of JSON that says what made it. Raises InputError for a firmware that has none."""
+    """Write a state after a line that says what made it. Raises InputError for a firmware without."""
     try:
         state = pickle.dumps(loop.snapshot(), protocol=5)
     except TypeError:

@@ -105,7 +105,7 @@ def _first_past(values: Floats, level: float, rising: bool) -> int | None:
 
 
 def crossing(times: Floats, values: Floats, level: float, rising: bool) -> float | None:
-    """Return when values [n] over times [n] in s, linear in between, reach a level of their unit; None if never."""
+    """Return when values [n] over times [n] in s, joined by lines, reach a level; None if never."""
     i = _first_past(values, level, rising)
     if not i:
         return None if i is None else float(times[0])

@@ -33,7 +33,7 @@ COLUMNS = (
 
 
 def fault_start_s(scenario: Scenario) -> float:
-    """Return when the first fault begins in s; 0 for load of others and drifting clocks, infinity without one."""
+    """Return when the first fault begins in s, 0 for load or drift, infinity without one."""
     clock = scenario.clock
     if scenario.bus.extra_load or clock.controller_ppm or clock.driver_ppm:
         return 0.0

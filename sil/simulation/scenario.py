@@ -227,7 +227,7 @@ def _impossible_limits(expect: Expectations) -> Iterator[str]:
 
 
 def scenario_toml(scenario: Scenario) -> str:
-    """Return the text of a file that loads as this scenario, without its expectations, files as it names them."""
+    """Return the text of a file that loads as this scenario, without its expectations."""
     defaults = expanded(Scenario(name="-", duration_s=1.0, request=[]))
     table = _different(expanded(scenario), defaults)
     table.pop("expect", None)

@@ -25,7 +25,7 @@ def shipped() -> dict[str, Path]:
 def load_study(
     where: str, effects: Sequence[str] = (), model: str | None = None, firmware: str | None = None
 ) -> Study:
-    """Read a study file, or a shipped study by name, with the given effects, model and firmware instead of its own.
+    """Read a study file or a shipped study, with effects, model and firmware instead of its own.
 
     Raises InputError with file, location, what is wrong and what was expected.
     """

@@ -208,7 +208,7 @@ class Study:
             yield StudyRow(number, names, settings)
 
     def run(self, row: StudyRow) -> RowResult:
-        """Run one row; one that cannot finish has its reason. Raises InputError for wrong settings, naming the row."""
+        """Run one row, which may end with a reason. Raises InputError naming a row with wrong settings."""
         try:
             return self.file.run(self, row)
         except InputError as error:

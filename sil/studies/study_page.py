@@ -73,7 +73,7 @@ MOST_LISTED_ROWS = 40  # a study of more rows shows groups, by their medians
 
 
 def shown_rows(study: Study, table: Table) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of what a reader sees: metrics and differences to the baseline, or medians of groups."""
+    """Return head and rows of the shown table: metrics and differences, or medians of groups."""
     metrics = [name for name in read_metrics(study)[:6] if np.isfinite(table.numbers[name]).any()]
     baseline = baseline_rows(study, table)
     if table.size <= MOST_LISTED_ROWS:

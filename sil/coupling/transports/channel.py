@@ -45,7 +45,7 @@ class ParticipantLost(RunError):
 
 @dataclass(frozen=True)
 class Timeouts:
-    """Times in s of the wall clock: for all to join, for the answer to a grant, for processes to end after Stop."""
+    """Times in s: for all to join, for the answer to a grant, for processes to end after Stop."""
 
     start_s: float = 60.0
     answer_s: float = 2.0

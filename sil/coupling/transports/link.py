@@ -35,7 +35,7 @@ class LocalLink:
         self._socket = address.connect(channel, start_timeout_s, say)
 
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
-        """Return the next records (identifier, data), none in time. Raises RunError when the coordinator is gone."""
+        """Return the next records, none in time. Raises RunError when the coordinator is gone."""
         try:
             self._socket.settimeout(timeout_s)
             length = self._socket.recv_into(self._buffer)
@@ -144,7 +144,7 @@ class Session:
     def join(
         self, first_event_ns: int, timeout_s: float, say: Callable[[str], None] = silent
     ) -> None:
-        """Send Hello until it is answered; `first_event_ns` is sent when the run starts; `say` takes that it waits.
+        """Send Hello until it is answered, `first_event_ns` at the start; `say` takes that it waits.
 
         Raises InputError when refused, RunError when nobody answers in time.
         """
@@ -176,7 +176,7 @@ class Session:
     def next_grant(self) -> tuple[int, Received] | None:
         """Wait for a grant; return its instant (ns) and the frames since the last one.
 
-        None at the end of the run; `ending` says how. Raises RunError for a coordinator that is gone, or lost frames.
+        None at the end of the run, see `ending`. Raises RunError for a lost coordinator or frame.
         """
         while True:
             while self._records:
@@ -214,7 +214,7 @@ class Session:
             self._records.extend(self._link.read(None))
 
     def answer(self, frames: Sequence[tuple[int, Frame]], next_ns: int) -> None:
-        """Offer frames, each at its release instant (ns), and name the next event. Raises ValueError for a wrong one."""
+        """Offer frames at their release instants (ns), name the next event. Raises ValueError."""
         records = []
         release_ns = self._now_ns
         for instant_ns, frame in frames:

@@ -112,7 +112,7 @@ class LocalBus(can.BusABC):
             self._failure = "the run has ended" + ("" if regular else " early")
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send on a free-running bus. Raises can.CanOperationError in lockstep, or for no classic 29-bit data frame."""
+        """Send on a free-running bus. Raises can.CanOperationError in lockstep or for a wrong frame."""
         connection = self._open()
         deadline = time.monotonic() + _GREETING_S
         while self._free is None and (left := deadline - time.monotonic()) > 0.0:
@@ -142,7 +142,7 @@ class LocalBus(can.BusABC):
         return self._connection
 
     def fileno(self) -> int:
-        """Return the descriptor to wait on, -1 after shutdown; then read with `recv(0)` until it returns None."""
+        """Return the descriptor to wait on, -1 after shutdown; read on until `recv(0)` returns None."""
         return -1 if self._connection is None else self._connection.fileno()
 
     def shutdown(self) -> None:

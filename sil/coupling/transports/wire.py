@@ -173,7 +173,7 @@ def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
 
 
 def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
-    """Yield identifier and data of each record. Raises WireError for a torn one, or no classic 29-bit data frame."""
+    """Yield each record's identifier and data. Raises WireError for a torn or foreign one."""
     if len(records) % RECORD_BYTES:
         raise WireError(f"{len(records)} bytes; expected a multiple of {RECORD_BYTES}")
     for flagged_id, length, payload in SOCKETCAN_FRAME.iter_unpack(records):

@@ -26,7 +26,7 @@ PLAIN = np.full((1, STEM_SIZE), -100.0)
 
 @dataclass(frozen=True)
 class Scatter:
-    """What differs in one shift: commands (shift_s), plungers of B, N, F (rise_s, fall_s), logarithms of factors."""
+    """What differs in one shift: commands, plungers of B, N and F, logarithms of factors."""
 
     shift_s: float = 0.0
     rise_s: Sequence[float] = (0.0, 0.0, 0.0)

@@ -115,7 +115,7 @@ class BoundProblem:
         return judge.judge(policy.policy, policy.knots_s, self.delay_s, loads)
 
     def answering(self, policy: SearchProgress, knots: int) -> tuple[SearchProgress, Ints]:
-        """Return the same policy with knots over its releases, and places [n] of unitless values that may change.
+        """Return a policy with knots over its releases, and places [n] of values that may change.
 
         One that has no answer gets pulses of no length; of a valve that may not move it has none.
         """
@@ -160,7 +160,7 @@ class BoundProblem:
     def cma(
         self, progress: SearchProgress, evaluations: int, others: Sequence[SearchProgress] = ()
     ) -> SearchProgress:
-        """Return the progress after one more attempt of CMA-ES (library `cma`), four starts of which the best goes on.
+        """Return the progress after one more attempt of CMA-ES, the best of four starts going on.
 
         others: policies of other problems, to begin with if they are better than random stems.
         """

@@ -61,7 +61,7 @@ def shipped_headlines() -> tuple[Headline, ...]:
 
 
 class RowConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a row changes; None: as each headline has it. Factors: on the synchronizer's impulse, a study's scatter."""
+    """What a row changes; None: as in each headline. Factors: on impulse and a study's scatter."""
 
     supply_pressure_pa: Annotated[float, msgspec.Meta(ge=1e5)] | None = None
     mesh_force_n: NotNegative | None = None
@@ -83,7 +83,7 @@ class Case:
         self._arrivals: dict[str, Arrivals] = {}
 
     def margin(self, headline: Headline) -> float:
-        """Return by how much a headline holds, shared parts measured once. Raises InputError and RunError as a run."""
+        """Return by how much a headline holds, each part measured once. Raises InputError and RunError."""
         return self._value(headline.more) - self._value(headline.less)
 
     def _value(self, measure: Measure) -> float:

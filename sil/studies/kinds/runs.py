@@ -38,7 +38,7 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
         return (*shift, *safety.COLUMNS) if self.safety else shift
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Run a row as `opc4 run` with its settings does. Raises InputError for wrong ones, RunError if it fails."""
+        """Run a row as `opc4 run` with its settings does. Raises InputError and RunError."""
         loaded = study.loaded(row.settings)
         run = run_in_memory(loaded)
         last = run.shifts[-1] if run.shifts else None

@@ -59,7 +59,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         return (*(headline.name for headline in self.headlines), "failed")
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Return each headline's margin. Raises InputError for wrong settings, RunError if equations are not solved."""
+        """Return each headline's margin. Raises InputError, or RunError if no solution is found."""
         case = self._case(row)
         margins = {headline.name: case.margin(headline) for headline in self.headlines}
         missing = [name for name, margin in margins.items() if not math.isfinite(margin)]
@@ -151,7 +151,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
         return {"sensitivity.md": "\n".join(lines) + "\n"}
 
     def _weighed(self, table: Table, name: str) -> Iterator[tuple[float, float, str]]:
-        """Yield the ends of each swept value's influence (margins, or the index's interval), and that in words."""
+        """Yield the ends of each swept value's influence (margins, or the index), and that in words."""
         margins = table.numbers[name]
         if self.radial:
             for index, low, high in total_indices(margins, len(self.sweep)):
@@ -191,7 +191,7 @@ def total_indices(margins: Floats, parameters: int) -> Floats:
 
 
 def holds(values: Floats, margins: Floats) -> str:
-    """Return between which swept values [n] the margins [n], each in its unit, are positive: "always", "never", ranges."""
+    """Return between which values [n] margins [n] are positive: "always", "never" or ranges."""
     order = np.argsort(values)
     x, good = values[order], margins[order] > 0.0
     if good.all() or not good.any():

@@ -91,7 +91,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
         )
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
-        """Simulate a stroke. Raises InputError for wrong settings, RunError if the equations cannot be solved."""
+        """Simulate a stroke. Raises InputError, or RunError if the equations cannot be solved."""
         table, stroke = self._stroke(row.settings)
         impact = stroke.impact
         driving, opposing = table.chambers
@@ -118,7 +118,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
         return RowResult(figures, "failed", f"the stay met no stop within {table.until_s:g} s")
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:
-        """Return metrics over sweeps and choices, up to 12 strokes over time; a front beside the base, damped too."""
+        """Return metrics over sweeps and choices, few strokes over time, a front beside the base."""
         figures = swept_figures(study, table)
         if "pareto" in figures:
             figures["pareto"] = pareto_figure(study, table, self._references(study, table))
@@ -142,7 +142,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
             raise RunError(str(error)) from None
 
     def _references(self, study: Study, table: Table) -> dict[str, dict[str, Mapping[str, float]]]:
-        """Return the figures of each group with nothing swept, effects absent, without load and with the damper."""
+        """Return each group's figures with nothing swept, without load and with the damper."""
         groups: dict[str, dict[str, Mapping[str, float]]] = {}
         swept = {_whole(sweep.path) for sweep in self.sweep}
         first = {int(rows[0]): label for label, rows in study.row_groups(table).items()}

@@ -176,7 +176,7 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         return RowResult(figures, "failed" if reasons else "passed", "; ".join(reasons))
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:
-        """Return the worst impact of up to 64 rows as bars, over the loads of each family (name before its comma)."""
+        """Return the worst impact of up to 64 rows over each family of loads (name before a comma)."""
         if table.size > 64:
             return {}
         families = list(dict.fromkeys(load.name.split(",")[0] for load in self.load))
