@@ -26,8 +26,8 @@ from sil.coupling.transports.channel import Participant, silent
 from sil.coupling.transports.local import LocalBus, RunEnded
 
 STALE_NS = 100_000_000
-"""A node that is later than this stood still and does not make up for its steps; frames that were due
-longer ago are not sent."""
+"""A node that is later than this stood still; up to then it makes up for its steps. Frames that were
+due longer ago are not sent."""
 
 
 def open_bus(

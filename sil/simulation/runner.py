@@ -120,15 +120,8 @@ def run(
                 summary = free.run(record)
             else:
                 end_ns, outages = to_ns(scenario.duration_s), plan if scenario.fault else None
-                lockstep = Lockstep(
-                    bus,
-                    channels,
-                    end_ns,
-                    record=record,
-                    outages=outages,
-                    pacer=pacer,
-                    order=SENDERS,
-                )
+                how: dict[str, Any] = {"outages": outages, "pacer": pacer, "order": SENDERS}
+                lockstep = Lockstep(bus, channels, end_ns, record=record, **how)
                 summary = closing.enter_context(lockstep).run()
     except InputError:
         _discard(folder)
