@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def content(stack: Stack) -> dict[str, Any]:
 
 
 def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
-    scale = panel.scale
+    scale, look = panel.scale, attrgetter("role", "label", "style")
     return {
         "title": panel.title,
         "unit": panel.unit,
@@ -79,13 +80,7 @@ def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
         ],
         "bands": [[rounded(b.x), rounded(b.low), rounded(b.high), b.role] for b in panel.bands],
         "spans": [
-            [
-                *rounded((s.start, s.end), DIGITS + 2),
-                *rounded((s.low, s.high)),
-                s.role,
-                s.label,
-                s.style,
-            ]
+            [*rounded((s.start, s.end), DIGITS + 2), *rounded((s.low, s.high)), *look(s)]
             for s in panel.spans
         ],
         "rules": [[r.at, r.text, r.role, r.axis, r.style] for r in panel.rules],

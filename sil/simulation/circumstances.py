@@ -27,7 +27,8 @@ def circumstances(scenario: Scenario) -> Circumstances:
     of_controller = [f for f in faults if getattr(f, "node", "") == "controller"]
     kinds = [fault.kind for fault in scenario.sensor_fault]
     kinds += [fault.kind for fault in scenario.temperature_fault]
-    repeats = any(isinstance(f, Replayed) and f.message == "PositionPulse" for f in faults)
+    replayed = [f for f in faults if isinstance(f, Replayed)]
+    repeats = any(f.message == "PositionPulse" for f in replayed)
     lies = "wrong" in kinds or "stuck" in kinds
     return Circumstances(
         control=scenario.controller,
@@ -37,12 +38,7 @@ def circumstances(scenario: Scenario) -> Circumstances:
         true_samples=not (scenario.temperature_fault or repeats)
         and {"off", "slow", "intermittent"}.issuperset(kinds),
         repeated_s=max(
-            (
-                f.delay_s
-                for f in faults
-                if isinstance(f, Replayed) and f.message == "ControllerStatus"
-            ),
-            default=0.0,
+            (f.delay_s for f in replayed if f.message == "ControllerStatus"), default=0.0
         ),
         down_s=tuple(
             _interval_s(f)

@@ -149,13 +149,8 @@ def outcomes_figure(study: Study, table: Table) -> Figure:
                 x, y = shifts.index(table.texts[of_shift][i]), part.index(label)
                 colour = OUTCOMES[_outcome(table, i, sight)][1]
                 spans.append(Span(x - 0.46, x + 0.46, colour, "", y - 0.42, y + 0.42))
-        panel = Panel(
-            "Faults",
-            spans=spans,
-            ticks=numbered(part),
-            limits=(half - 0.5, -0.5),
-            keys=() if stacks else OUTCOMES,
-            height=max(120, 40 + 14 * half),
-        )
+        ticks, limits, height = numbered(part), (half - 0.5, -0.5), max(120, 40 + 14 * half)
+        keys = () if stacks else OUTCOMES
+        panel = Panel("Faults", spans=spans, ticks=ticks, limits=limits, keys=keys, height=height)
         stacks.append(Stack("shift", [panel], ticks=numbered(shifts), width=6.5))
     return Figure(stacks, title_of(study))

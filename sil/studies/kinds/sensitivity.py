@@ -100,7 +100,11 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
 
     def draw(self, study: Study, table: Table) -> dict[str, Figure]:
         """Return for each headline its margin over each parameter, or the total index of each."""
-        labels = [sweep.title for sweep in self.sweep]
+        ticks, zero = (
+            numbered([each.title for each in self.sweep]),
+            Rule(0.0, "", "ink", "x", "solid"),
+        )
+        limits, height = (len(ticks) - 0.5, -0.5), 60 + 14 * len(ticks)
         stacks = []
         for headline in self.headlines:
             spans = [
@@ -110,12 +114,7 @@ class SensitivityStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", t
                 for role in ("series0" if low > 0.0 else "alarm",)
             ]
             panel = Panel(
-                headline.text,
-                spans=spans,
-                rules=[Rule(0.0, "", "ink", "x", "solid")],
-                ticks=numbered(labels),
-                limits=(len(labels) - 0.5, -0.5),
-                height=60 + 14 * len(labels),
+                headline.text, spans=spans, rules=[zero], ticks=ticks, limits=limits, height=height
             )
             axis = f"margin of the headline, {metric_of(headline.name).unit}"
             axis = "total Sobol index, 95 % interval" if self.radial else axis
