@@ -119,7 +119,7 @@ def run_campaigns(arguments: argparse.Namespace, stamps: list[str]) -> int:
     if result.extended is not None:
         write_atomically(folder / "extended_model.toml", result.extended)
     again = f"{shlex.join(folders)} --model {arguments.model}{' --next' if arguments.next else ''}"
-    beyond = write_report(result, folder, again, arguments.model, workers)
+    beyond = write_report(result, folder, again, workers)
     values = finite(result.as_json() | beyond | {"effects": stamps})
     if arguments.next:
         values["next_campaign"] = write_next(result, folder)

@@ -1,7 +1,7 @@
 """Hypotheses: which effects act, as parameters that a fit can move.
 
-A hypothesis is a tuple of effects.  Where the vocabulary leaves open what exactly an effect does
-(on which chamber, say), it has variants that share its identifier.
+A hypothesis is a tuple of effects, or of their variants, which share an identifier. A term is a bounded
+smooth function in exactly one equation, whose parameters are its values at the nodes of a grid.
 Checked by: tests/unit/sil/inference/test_candidate.py
 """
 
@@ -26,10 +26,9 @@ from plant.errors import InputError, IntegrationError
 class Candidate:
     """One cause that a fit can try: an effect, or a variant of it.
 
-    parameters: those that are fitted; fixed: the others, that make the variant; starts: values of
-    the fitted ones to begin from; roughness: by how much a parameter, where they are a function's
-    values on a grid, may leave the line of its neighbours, in typical sizes (0: they are none);
-    fills_table: it takes the one tabulated term of the equations; prior: see `Variant`.
+    parameters: fitted, from `starts`; fixed: the others, that make the variant; roughness: by how many
+    typical sizes a node may leave the line of its neighbours (0: no nodes); fills_table: it takes the
+    one tabulated term of the equations; prior: see `Variant`.
     """
 
     effect: Effect
@@ -87,8 +86,7 @@ class Candidate:
 def scaled_of(parameter: EffectParameter, value: float) -> float:
     """Return a parameter's value in typical sizes from neutral; factors and scales count in logarithms.
 
-    A factor on what a tolerance scales too is known through the product alone: in logarithms that
-    valley is straight, and a fit walks along it in one step.
+    So the valley of a factor and a tolerance that scales the same is straight, and walked in one step.
     """
     if is_scale(parameter):
         return math.log(value / parameter.neutral) / log_size(parameter)
@@ -139,10 +137,7 @@ def _named(name: str) -> Candidate:
 
 
 def compatible(candidate: Candidate, others: Sequence[Candidate]) -> bool:
-    """Return whether a candidate can act together with others.
-
-    No two variants of one cause, and at most one that fills the tabulated term of the equations.
-    """
+    """Return whether a candidate can act beside others: no variant of one of them, one tabulated term at most."""
     if any(candidate.id == other.id for other in others):
         return False
     return not (candidate.fills_table and any(other.fills_table for other in others))
@@ -189,10 +184,7 @@ def candidates(has: Collection[Need]) -> list[Candidate]:
 
 
 def _term_starts(form: TermForm) -> Starts:
-    """Return points to begin a search from: zero; level, rising and falling curves of several sizes.
-
-    In a form of categories each alone is a shape too.
-    """
+    """Return points to begin a search from: zero; level, rising and falling curves; of categories each alone."""
     rising = np.linspace(0.0, 1.0, form.count)
     shapes = [np.ones(form.count), rising, rising[::-1]]
     if is_categorical(form):

@@ -11,16 +11,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from sil.inference.fit import FitResult
-from sil.inference.problem import Floats, Problem
+from sil.inference.problem import ChannelPart, Problem
 from sil.inference.thresholds import LIMITS
 
 
 @dataclass(frozen=True)
 class ChannelMisfit:
-    """One channel over some strokes: rms over its floor, how many numbers, and the band's edge.
-
-    floor: mean square of its standardised residuals when nothing is wrong.
-    """
+    """One channel over some strokes: rms over its floor (the mean square when nothing is wrong), count, and the band's edge."""
 
     rms: float
     count: int
@@ -35,10 +32,7 @@ class ChannelMisfit:
 
 @dataclass(frozen=True)
 class Misfit:
-    """A fit against the floor.
-
-    excess: chi squared beyond it; band: three standard deviations of a clean campaign's excess.
-    """
+    """A fit against the floor: chi squared beyond it; band: three standard deviations of a clean campaign's excess."""
 
     channels: dict[str, ChannelMisfit]
     excess: float
@@ -75,20 +69,19 @@ class Misfit:
 
 def misfit(problem: Problem, fit: FitResult) -> Misfit:
     """Compare a fit's residuals with the floor, channel by channel and in all."""
-    parts: dict[str, list[tuple[Floats, float, float]]] = {}
+    parts: dict[str, list[ChannelPart]] = {}
     for k, block in fit.blocks.items():
-        for name, part, floor, spread in problem.parts(k, block.residual):
-            parts.setdefault(name, []).append((part, floor, spread))
+        for part in problem.parts(k, block.residual):
+            parts.setdefault(part.name, []).append(part)
     channels = {}
     excess = variance = 0.0
-    for name, channel_parts in parts.items():
-        n = sum(len(part) for part, _floor, _spread in channel_parts)
-        total = sum(float(part @ part) for part, _floor, _spread in channel_parts)
-        floor = sum(item[1] for item in channel_parts)
-        share = float(np.hypot(channel_parts[0][2] / (floor / n) ** 0.5, np.sqrt(0.5 / n)))
-        channels[name] = ChannelMisfit(
-            float(np.sqrt(total / floor)), n, 1.0 + 3.0 * share, floor / n
-        )
+    for name, strokes in parts.items():
+        n = sum(len(part.residual) for part in strokes)
+        total = sum(float(part.residual @ part.residual) for part in strokes)
+        floor = sum(part.floor for part in strokes)
+        share = float(np.hypot(strokes[0].spread / (floor / n) ** 0.5, np.sqrt(0.5 / n)))
+        rms = float(np.sqrt(total / floor))
+        channels[name] = ChannelMisfit(rms, n, 1.0 + 3.0 * share, floor / n)
         excess += total - floor
         variance += (2.0 * share * floor) ** 2
     count = sum(channel.count for channel in channels.values())
@@ -98,8 +91,7 @@ def misfit(problem: Problem, fit: FitResult) -> Misfit:
 def strained(fit: FitResult) -> bool:
     """Return whether a fit agrees with the data only because tolerances or scatter are implausibly wide.
 
-    Their sums of squares are held against chi squared (they have standard normal priors, and what
-    is estimated is drawn towards zero); each kind of scatter by itself.
+    Their sums of squares are held against chi squared; each kind of scatter by itself.
     """
     scatter = np.sum(fit.stroke[list(fit.use)] ** 2, axis=0)
     unit = float(np.sum(fit.shared[: fit.layout.healthy] ** 2))

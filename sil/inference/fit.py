@@ -1,9 +1,9 @@
 """Maximum a posteriori fit of one hypothesis to a whole campaign.
 
-Residuals are standardised; healthy tolerances of the unit, scatter of each stroke and the
-hypothesis' own parameters are fitted together.  The normal equations have the shape of an arrow
-(each stroke's scatter touches that stroke alone), so each stroke is eliminated on its own and only
-the shared block is solved.  Levenberg-Marquardt, steps bounded by the physical limits.
+Healthy tolerances of the unit, scatter of each stroke and the hypothesis' own parameters are fitted
+together. The normal equations have the shape of an arrow (each stroke's scatter touches that stroke
+alone), so each stroke is eliminated on its own and only the shared block is solved.
+Levenberg-Marquardt, steps bounded by the physical limits.
 
 Source: Gauss-Newton with priors, e.g. Gelman et al., Bayesian Data Analysis; Schur elimination as
 in bundle adjustment (Triggs et al. 2000).
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +42,10 @@ def arrow(
     weight: float = 1.0,
     on: Bounds | None = None,
 ) -> tuple[Floats, Floats, Inner]:
-    """Return normal matrix and gradient of the shared parameters, the strokes' scatter eliminated.
+    """Return normal matrix [shared, shared], gradient [shared], the strokes' scatter eliminated, and what each of these needs.
 
     spread: [strokes, scatter]; shared: [shared]; no unit. weight: of the residuals against the
-    priors; on: by default what is on its bound and presses outward. Result [shared, shared],
-    [shared] and what each stroke's scatter needs.
+    priors; on: by default what is on its bound and presses outward.
     """
     n = len(layout.names)
     normal: Floats = np.zeros((n, n))
@@ -54,15 +53,13 @@ def arrow(
     inner: Inner = {}
     for k, block in blocks.items():
         r, a, b, aa, hus, bb = _weighted(block, weight)
+        at_bound = np.zeros(b.shape[1], dtype=bool)
+        if on is not None and k in on:
+            at_bound, moved = on[k]
+            r = r - b @ np.where(at_bound, moved, 0.0)
+        gs: Floats = b.T @ r - spread[k]
         if on is None:
-            gs: Floats = b.T @ r - spread[k]
             at_bound = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
-        else:
-            at_bound = np.zeros(b.shape[1], dtype=bool)
-            if k in on:
-                at_bound, moved = on[k]
-                r = r - b @ np.where(at_bound, moved, 0.0)
-            gs = b.T @ r - spread[k]
         if at_bound.any():
             hus, bb = np.where(at_bound, 0.0, hus), np.where(at_bound | at_bound[:, None], 0.0, bb)
             gs = np.where(at_bound, 0.0, gs)
@@ -86,10 +83,7 @@ def _weighted(block: Block, weight: float) -> tuple[Floats, ...]:
 
 
 def scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:
-    """Return the scatter of strokes that goes with a step `moved` of the shared parameters.
-
-    spread: [strokes, scatters], moved: [shared], both in steps of the fit's scaled parameters.
-    """
+    """Return the scatter [strokes, scatter] that goes with a step `moved` [shared], all in the fit's scaled parameters."""
     there = spread.copy()
     for k, (inverse, hus, gs) in inner.items():
         there[k] += inverse @ (gs - hus.T @ moved)
@@ -98,10 +92,7 @@ def scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Tried:
-    """Values of a hypothesis: how many were tried and refused; first: why the first was refused.
-
-    lost: fits of it that were given up for that reason.
-    """
+    """Values of a hypothesis: how many were tried and refused, fits lost therefore; first: why the first was refused."""
 
     ids: tuple[str, ...]
     tried: int = 0
@@ -173,10 +164,9 @@ def no_progress(done: float, size: float) -> None:
 class FitResult:
     """A fitted hypothesis.
 
-    cost: half the sum of squared standardised residuals plus priors; shared, stroke: parameters in
-    prior standard deviations (effects in units of their typical size from neutral); normal: the
-    information on the shared parameters with scatter eliminated and priors added; blocks: the
-    strokes in `use`, linearised at the optimum.
+    cost: half the squared standardised residuals plus priors; shared, stroke: parameters in prior
+    standard deviations (effects in typical sizes from neutral); normal: the information on the shared
+    ones, priors added; blocks: the strokes in `use`, linearised at the optimum.
     """
 
     candidates: tuple[Candidate, ...]
@@ -238,10 +228,7 @@ class FitResult:
 
 
 class Fitter:
-    """Fits hypotheses to the strokes of a campaign.
-
-    refusals: what was tried of each hypothesis, and what could not be simulated.
-    """
+    """Fits hypotheses to the strokes of a campaign; refusals: what was tried of each, and not simulated."""
 
     def __init__(self, model: Problem, progress: Show = no_progress) -> None:
         """progress(done, size) is called at every iteration."""
@@ -368,6 +355,14 @@ class Fitter:
             else:
                 iterations = done  # one last linearisation at the optimum
 
+    def attempt(self, candidates: Sequence[Candidate], **options: Any) -> FitResult | None:
+        """Return what `fit` does, light; None, which is counted, where it cannot be simulated."""
+        try:
+            return self.fit(candidates, **options).light()
+        except IntegrationError as error:
+            self.refusals.lose(candidates, error)
+            return None
+
     def approach(
         self,
         candidates: Sequence[Candidate],
@@ -376,10 +371,7 @@ class Fitter:
         use: Sequence[int],
         iterations: int,
     ) -> tuple[float, Floats]:
-        """Move the hypothesis' own parameters alone; return cost and parameters [shared], no unit.
-
-        Raises IntegrationError where the start cannot be simulated.
-        """
+        """Move the hypothesis' own parameters alone; return cost and parameters [shared], no unit. Raises as `fit` does."""
         descent = _Descent(self, tuple(candidates), use, (), start, scatter)
         for _ in range(iterations):
             descent.linearise(False, True, {})
@@ -425,11 +417,9 @@ class _Descent:
         self.normal: Floats = np.zeros((n, n))
 
     def linearise(self, central: bool, own_only: bool, reused: Mapping[int, Block]) -> None:
-        """Linearise every stroke here, and weigh the residuals against the priors.
+        """Linearise every stroke here, and weigh the residuals so that their mean square is at most one.
 
-        Far from the optimum small errors of the derivatives, times large residuals, would outweigh
-        the priors and send tolerances along valleys in which effects can replace them. So the
-        weighted mean square of the residuals is at most one.
+        Far from the optimum, errors of the derivatives times large residuals would outweigh the priors.
         """
         model, shared, causes = self.model, self.shared, self.candidates
         self.blocks = {
@@ -474,8 +464,8 @@ class _Descent:
     ) -> Iterator[tuple[Floats, Floats, Inner, Floats, int]]:
         """Yield the systems to solve: normal, gradient, inner, scatter to begin from, tries.
 
-        First with the scatter that meets its bounds set on them, then with only what presses against
-        its bound held there; with the scatter as it is if the hypothesis' own parameters move alone.
+        First with the scatter that meets its bounds set on them, then with only what presses against its
+        bound held; as it is if the hypothesis' own parameters move alone.
         """
         if own_only:
             normal: Floats = self.layout.prior.copy()
@@ -539,15 +529,7 @@ class _Descent:
 
     def result(self, iterations: int) -> FitResult:
         values = self.model.effect_values(self.candidates, self.shared[self.layout.effect_slice])
+        state = self.cost, self.shared, self.spread, self.normal
         return FitResult(
-            self.candidates,
-            self.layout,
-            self.use,
-            self.cost,
-            self.shared,
-            self.spread,
-            self.normal,
-            values,
-            iterations,
-            self.blocks,
+            self.candidates, self.layout, self.use, *state, values, iterations, self.blocks
         )

@@ -1,9 +1,8 @@
 """Intervals of fitted parameters: curvature first, then a likelihood profile of the main ones.
 
 A profile fixes the parameter, fits everything else again and looks where the cost has risen by
-1.92 (95 %), times the factor by which the residuals exceed their floor.  It closes on both sides,
-stops at a physical bound, and says which other parameter ran into its own on the way. A cause whose
-form is a guess is no better known than that.
+1.92 (95 %), times the factor by which the residuals exceed their floor. A cause whose form is a guess
+is no better known than that.
 
 Source: Raue et al. 2009 (profile likelihood); pyPESTO's profiles for the idea of reporting bounds.
 Checked by: tests/unit/sil/inference/test_diagnose.py
@@ -12,6 +11,7 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -68,21 +68,11 @@ def intervals(
 def _one_side(
     fitter: Fitter, fit: FitResult, index: int, sd: float, side: float, inflation: float
 ) -> tuple[float, str]:
-    """Distance (signed, in typical sizes) at which the profiled cost has risen by the threshold."""
+    """Return the distance (signed, in typical sizes) at which the profiled cost passes the threshold, and a note."""
     strokes = fit.use[:: max(1, len(fit.use) // 12)]
     wide = sd / (len(strokes) / len(fit.use)) ** 0.5
-
-    def fitted(start: np.ndarray, scatter: np.ndarray, iterations: int) -> FitResult:
-        return fitter.fit(
-            fit.candidates,
-            start=start,
-            scatter=scatter,
-            use=strokes,
-            iterations=iterations,
-            freeze=[index],
-        )
-
-    base = moved = fitted(fit.shared, fit.stroke, 3)
+    fitted = partial(fitter.fit, fit.candidates, use=strokes, freeze=[index])
+    base = moved = fitted(start=fit.shared, scatter=fit.stroke, iterations=3)
     target = 1.92 * inflation
     before = (0.0, 0.0)
     note = ""
@@ -90,7 +80,7 @@ def _one_side(
         there = moved.shared.copy()
         there[index] = base.shared[index] + side * step * wide
         try:
-            moved = fitted(there, moved.stroke, 2)
+            moved = fitted(start=there, scatter=moved.stroke, iterations=2)
         except IntegrationError:
             return side * step * sd, "beyond, the motion cannot be continued"
         rise = moved.cost - base.cost

@@ -1,9 +1,8 @@
 """What is compared with what: blocks of measured numbers, and how a hypothesis predicts them.
 
-A block is a stroke of a campaign. All blocks share tolerances of the unit, offsets of sensors and the
-parameters of the hypothesis; each has scatter of its own. Everywhere, shared [shared] and scatter
-[scatter] are in prior standard deviations, the hypothesis' own parameters in typical sizes, and
-compared numbers are standardised by their expected noise.
+All blocks (strokes) share tolerances of the unit, offsets of sensors and the parameters of the hypothesis;
+each has scatter of its own. Everywhere, shared [shared] and scatter [scatter] are in prior standard
+deviations, the hypothesis' own parameters in typical sizes, compared numbers standardised by their noise.
 Checked by: tests/unit/sil/inference/test_fit.py
 """
 
@@ -24,10 +23,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shared:
-    """Names and positions of the shared parameters: unit tolerances, offsets, the hypothesis' own.
-
-    precision: inverse covariance of the prior of the hypothesis' own.
-    """
+    """Names of the shared parameters: tolerances, offsets, the hypothesis' own, and the prior precision of these."""
 
     unit: tuple[str, ...]
     offsets: tuple[str, ...]
@@ -59,10 +55,9 @@ class Shared:
 
 @dataclass(frozen=True)
 class Block:
-    """One block, linearised: residual, derivatives of the prediction by shared and scatter.
+    """One block, linearised: residual, smooth prediction (base) and its derivatives by shared and scatter.
 
-    base: the smooth prediction that the derivatives belong to; weighted: by weight, what the normal
-    equations need of the rest.
+    weighted: by weight, what the normal equations need of the rest.
     """
 
     residual: Floats
@@ -75,8 +70,7 @@ class Block:
 class ChannelPart(NamedTuple):
     """The part of a block's residual [n] that one channel has, in standard deviations.
 
-    floor: expected sum of squares if nothing is wrong; spread: of its rms between clean records, in
-    addition to what counting gives.
+    floor: expected sum of squares if nothing is wrong; spread: of its rms, beyond what counting gives.
     """
 
     name: str
@@ -138,10 +132,7 @@ class Problem(ABC):
     def residual(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
     ) -> Floats:
-        """Return the residual (measured - predicted) [n] of block k.
-
-        Raises IntegrationError where it cannot be predicted.
-        """
+        """Return measured - predicted [n] of block k; raises IntegrationError where it cannot be predicted."""
 
     @abstractmethod
     def changed(
@@ -152,10 +143,7 @@ class Problem(ABC):
         candidates: Sequence[Candidate],
         values: Sequence[Mapping[str, float]],
     ) -> Floats:
-        """Return the prediction [n] of block k, smooth and without offsets, at values of the candidates.
-
-        Raises IntegrationError where it cannot be predicted.
-        """
+        """Return the smooth prediction [n] of block k, without offsets; raises IntegrationError where there is none."""
 
     @abstractmethod
     def linearise(

@@ -1,8 +1,7 @@
 """Which further effects could explain what a fit leaves: a score test, linear in everything.
 
-At a fitted hypothesis, the change c that a candidate makes to the prediction is freed of what the
-fitted parameters could imitate; the gain in cost of the best amount of it is (c'r)^2 / 2 c'c.
-No further fit is needed: one simulated stroke each.
+The change c that a candidate makes to the prediction is freed of what the fitted parameters could
+imitate; the gain in cost of the best amount of it is (c'r)^2 / 2 c'c: one simulated stroke each.
 
 Source: Rao's score test; see Cox and Hinkley, Theoretical Statistics.
 Checked by: tests/unit/sil/inference/test_fit.py
@@ -28,9 +27,8 @@ from sil.inference.workers import spread_out
 class Score:
     """What a candidate would gain on top of a fit, by the linear estimate.
 
-    gain: in cost (half chi squared); amount: in multiples of the start tried; start: that start;
-    square: squared standardised change by that start, freed of what the fit could imitate; free:
-    its share of the whole change.
+    gain: in cost; amount: in multiples of the start tried; square: squared standardised change by that
+    start, freed of what the fit could imitate; free: its share of the whole change.
     """
 
     candidate: Candidate
@@ -51,24 +49,17 @@ class Score:
 
 @dataclass(frozen=True)
 class DetectableSize:
-    """The smallest value of a cause's main parameter that would have been claimed.
-
-    others: values of its other parameters for which that holds.
-    """
+    """The smallest value of a cause's main parameter that would have been claimed, beside those of its others."""
 
     candidate: Candidate
     value: float
     others: dict[str, float]
 
     @property
-    def size(self) -> float:
-        """Difference to neutral, in the parameter's unit."""
-        return abs(self.value - self.candidate.parameters[0].neutral)
-
-    @property
     def typical_sizes(self) -> float:
         """Difference to neutral in typical sizes."""
-        return self.size / self.candidate.parameters[0].typical
+        main = self.candidate.parameters[0]
+        return abs(self.value - main.neutral) / main.typical
 
     def as_json(self) -> dict[str, Any]:
         """Return the object in `detectable` of diagnosis.json."""
@@ -76,7 +67,7 @@ class DetectableSize:
         return {
             "id": self.candidate.id,
             "parameter": main.name,
-            "size": self.size,
+            "size": abs(self.value - main.neutral),
             "unit": main.unit,
             "value": self.value,
             "neutral": main.neutral,
@@ -103,21 +94,18 @@ def detectable(
         if value is None:
             continue
         names = [parameter.name for parameter in score.candidate.parameters[1:]]
-        others = dict(zip(names, score.start[1:], strict=True))
-        item = DetectableSize(score.candidate, value, others)
-        before = sizes.get(score.candidate.id)
-        if before is None or item.typical_sizes < before.typical_sizes:
-            sizes[score.candidate.id] = item
+        item = DetectableSize(
+            score.candidate, value, dict(zip(names, score.start[1:], strict=True))
+        )
+        least = sizes.setdefault(score.candidate.id, item)
+        sizes[score.candidate.id] = min(least, item, key=lambda size: size.typical_sizes)
     return list(sizes.values())
 
 
 def change_of(
     model: Problem, fit: FitResult, candidate: Candidate, start: tuple[float, ...]
 ) -> dict[int, Floats]:
-    """Return by stroke what the candidate at `start` changes in the standardised prediction [n].
-
-    Raises IntegrationError if one of them cannot be simulated.
-    """
+    """Return by stroke what the candidate at `start` changes in the standardised prediction [n]; raises IntegrationError."""
     changes = {}
     parameters = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
     for k, block in fit.blocks.items():
@@ -144,10 +132,7 @@ class Screening:
         self._solved[np.ix_(moving, moving)] = np.linalg.pinv(normal[np.ix_(moving, moving)])
 
     def score(self, candidate: Candidate, start: tuple[float, ...]) -> Score | None:
-        """Return what a candidate would gain by a start; None if that cannot be simulated.
-
-        A start that cannot be simulated is counted by the fitter's refusals.
-        """
+        """Return what a candidate would gain by a start; None, which the fitter counts, if that cannot be simulated."""
         fit, refusals = self.fit, self.fitter.refusals
         try:
             changes = change_of(self.fitter.model, fit, candidate, start)
@@ -175,10 +160,10 @@ class Screening:
         return Score(candidate, start, gain, amount, square, free)
 
     def remaining(self, candidate: Candidate, start: tuple[float, ...]) -> float | None:
-        """Return the squared change that remains once all fitted quantities have followed it.
+        """Return the squared change, priors included, that remains once all fitted quantities have followed it.
 
-        In standard deviations, the cost of their priors included; two Gauss-Newton steps, since edges
-        that move in time are not linear. None if it cannot be simulated.
+        In standard deviations; two Gauss-Newton steps, since edges that move in time are not linear. None
+        if it cannot be simulated.
         """
         fit, model = self.fit, self.fitter.model
         healthy, units = fit.layout.healthy, len(model.unit)
@@ -216,10 +201,9 @@ class Screening:
         return squares + float(shared @ fit.layout.prior @ shared)
 
     def smallest(self, score: Score, gain: float) -> float | None:
-        """Return the value of the main parameter that would gain so much; None if out of its bounds.
+        """Return the value of the main parameter that would gain so much, tried itself; None if out of its bounds.
 
-        What a cause does is not linear in its size, so each value found is tried itself; where both
-        signs are physical, that of the less noticeable one is returned.
+        Where both signs are physical, that of the less noticeable one is returned.
         """
         first, main = score.smallest(gain), score.candidate.parameters[0]
         if first is None:
@@ -258,15 +242,10 @@ class Screening:
 def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
     """Score of every candidate on top of a fit, by its best start, largest gain first."""
     screening = Screening(fitter, fit)
-    scores = []
+    best = []
     for candidate in candidates:
-        best: Score | None = None
-        for start in candidate.starts[::2]:
-            score = screening.score(candidate, start)
-            if score is None or (best and score.free == 0.0):
-                continue
-            if best is None or score.gain > best.gain or best.free == 0.0:
-                best = score
-        if best is not None:
-            scores.append(best)
-    return sorted(scores, key=lambda score: -score.gain)
+        starts = [screening.score(candidate, start) for start in candidate.starts[::2]]
+        scores = [score for score in starts if score is not None]
+        # a start without a free change counts only where no other does
+        best += [max(scores, key=lambda score: (score.free > 0.0, score.gain))] if scores else []
+    return sorted(best, key=lambda score: -score.gain)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -69,23 +70,30 @@ BUDGET = Budget()
 
 @dataclass(frozen=True)
 class Task:
-    """One fit to run: candidates, where each begins, and the healthy part's beginning.
-
-    parent: the fit whose derivatives by tolerances serve, if it is near enough.
-    """
+    """One fit to run: candidates, where each begins, the healthy part's beginning, and the fit whose derivatives serve."""
 
     candidates: tuple[Candidate, ...]
     starts: tuple[tuple[tuple[float, ...], ...], ...]
-    begin: tuple[Floats, Floats] | None
-    iterations: int
+    begin: tuple[Floats, Floats] | None = None
+    iterations: int = BUDGET.first_iterations
     parent: str = ""
+
+    @classmethod
+    def beside(
+        cls, fit: FitResult, item: Candidate, starts: Iterable[tuple[float, ...]], **others: Any
+    ) -> Task:
+        """Return the fit of one more candidate, from a fit's optimum and each of its own starts."""
+        points = tuple((*fit.point, start) for start in starts)
+        return cls((*fit.candidates, item), points, (fit.shared, fit.stroke), **others)
 
 
 class Fits(dict[str, FitResult]):
     """Fits by name."""
 
-    def add(self, fit: FitResult) -> None:
-        """Store a fit unless a better one of the same hypothesis, in any order, is there."""
+    def add(self, fit: FitResult | None) -> None:
+        """Store a fit, if any, unless a better one of the same hypothesis, in any order, is there."""
+        if fit is None:
+            return
         causes = {item.name for item in fit.candidates}
         same = (name for name, f in self.items() if {c.name for c in f.candidates} == causes)
         old = next(same, "")
@@ -103,10 +111,7 @@ class Fits(dict[str, FitResult]):
 
 
 class Search:
-    """Fits hypotheses to the training blocks of a problem, and concludes by the held-out ones.
-
-    terms: candidates without a form, tried where no named one explains.
-    """
+    """Fits hypotheses, terms without a form last, to the training blocks of a problem; the held-out ones conclude."""
 
     def __init__(
         self,
@@ -138,10 +143,7 @@ class Search:
         self.verdict: Verdict[Judged]
 
     def run(self) -> Verdict[Judged]:
-        """Return the verdict after all stages.
-
-        Raises IntegrationError if the healthy model cannot follow the blocks.
-        """
+        """Return the verdict after all stages; raises IntegrationError if the healthy model cannot follow the blocks."""
         for percent, stage in (
             (5.0, self.fit_healthy),
             (45.0, self.singles),
@@ -166,9 +168,14 @@ class Search:
 
     def judge(self) -> None:
         """Judge the healthy fit and the best ones by the held-out blocks, and decide."""
-        ones, twos, threes = (self.fits.of_size(count) for count in (1, 2, 3))
-        chosen = [self.healthy, *ones[:8], *twos[:8], *threes[:2]]
-        judged = judge(self.fitter, chosen, self.held_out, self.workers, self.held_fits)
+        best = [
+            fit
+            for count, most in ((1, 8), (2, 8), (3, 2))
+            for fit in self.fits.of_size(count)[:most]
+        ]
+        judged = judge(
+            self.fitter, [self.healthy, *best], self.held_out, self.workers, self.held_fits
+        )
         self.judged = [item for item in judged if acceptable(item)]
         self.verdict = decide(self.judged, self.model.size)
 
@@ -193,10 +200,7 @@ class Search:
 
     # --- fits ---------------------------------------------------------------------------------
     def best_start(self, task: Task) -> tuple[float, Floats, Floats] | None:
-        """Return cost, shared parameters [shared] and scatter [strokes, scatter] of a task's best start.
-
-        In prior standard deviations; None if no start can be simulated.
-        """
+        """Return cost, shared [shared] and scatter [strokes, scatter], in deviations, of a task's best start; None without any."""
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
         none = (np.zeros(healthy), np.zeros((model.size, len(model.scatter))))
@@ -227,8 +231,8 @@ class Search:
         except IntegrationError as error:
             self.fitter.refusals.lose(task.candidates, error)
             return None
-        count = len(shared) - len(self.model.layout(task.candidates).effects)
-        values = self.model.effect_values(task.candidates, shared[count:])
+        own = shared[self.model.layout(task.candidates).effect_slice]
+        values = self.model.effect_values(task.candidates, own)
         start = tuple(tuple(table.values()) for table in values)
         return cost, replace(task, starts=(start,), begin=(shared, scatter))
 
@@ -237,21 +241,18 @@ class Search:
         best = self.best_start(task)
         if best is None:
             return None
-        is_far = best[0] > BUDGET.far_cost_per_number * self.sample_size
+        cost, start, scatter = best
+        is_far = cost > BUDGET.far_cost_per_number * self.sample_size
         first = BUDGET.own_iterations if is_far else 0
-        try:
-            return self.fitter.fit(
-                task.candidates,
-                start=best[1],
-                scatter=best[2],
-                use=self.sample,
-                iterations=task.iterations + first,
-                effects_first=first,
-                reuse=self.parent_blocks.get(task.parent, {}),
-            ).light()
-        except IntegrationError as error:
-            self.fitter.refusals.lose(task.candidates, error)
-            return None
+        return self.fitter.attempt(
+            task.candidates,
+            start=start,
+            scatter=scatter,
+            use=self.sample,
+            iterations=task.iterations + first,
+            effects_first=first,
+            reuse=self.parent_blocks.get(task.parent, {}),
+        )
 
     def refine(self, fit: FitResult, iterations: int = BUDGET.last_iterations) -> FitResult:
         """Continue a fit from its optimum; strokes it did not use get their scatter first."""
@@ -274,11 +275,10 @@ class Search:
 
     def run_tasks(self, tasks: Sequence[Task]) -> list[FitResult]:
         """First fits, side by side, on the sample of the training strokes; best first."""
-        done = Fits()
+        fits = Fits()
         for fit in fitted(self.fitter, self.attempt, tasks, self.workers, self.stages):
-            if fit is not None:
-                done.add(fit)
-        return done.ordered()
+            fits.add(fit)
+        return fits.ordered()
 
     def polish(self, fits: Sequence[FitResult], again: bool = True) -> None:
         """Fit all training strokes from the first fits; store the better ones."""
@@ -292,8 +292,7 @@ class Search:
                 return None
 
         for fit in fitted(self.fitter, work, fits, self.workers):
-            if fit is not None:
-                self.fits.add(fit)
+            self.fits.add(fit)
         best = self.fits.ordered()[:1]
         if again and best and best[0].iterations >= BUDGET.last_iterations:
             self.polish(best, False)  # a long valley
@@ -305,27 +304,18 @@ class Search:
         Linear scores say nothing either of what wide scatter imitates by moving edges in time; and a
         tolerance at its bound is in the way of the cause that does the same: then that begins anew.
         """
-        healthy = self.healthy
-        chosen: list[Candidate] = self.candidates
-        is_strained = strained(healthy)
-        if (
-            misfit(self.model, healthy).per_number < BUDGET.linear_excess_per_number
-            and not is_strained
-        ):
+        healthy, chosen, is_strained = self.healthy, self.candidates, strained(self.healthy)
+        per_number = misfit(self.model, healthy).per_number
+        if per_number < BUDGET.linear_excess_per_number and not is_strained:
             self.parent_blocks[healthy.name] = healthy.blocks
             self.scores = screen(self.fitter, healthy, self.candidates)
-            chosen = [s.candidate for s in self.scores if s.gain > BUDGET.min_linear_gain][
-                : 2 * BUDGET.singles
-            ]
-        begin = (healthy.shared, healthy.stroke)
+            likely = [s.candidate for s in self.scores if s.gain > BUDGET.min_linear_gain]
+            chosen = likely[: 2 * BUDGET.singles]
         tasks = []
         for item in chosen:
-            starts = tuple((start,) for start in item.starts)
-            tasks.append(Task((item,), starts, begin, BUDGET.first_iterations, healthy.name))
+            tasks.append(Task.beside(healthy, item, item.starts, parent=healthy.name))
             if item.effect.rugged or (item.effect.tolerance and is_strained):
-                tasks += [
-                    Task((item,), (start,), None, BUDGET.first_iterations) for start in starts
-                ]
+                tasks += [Task((item,), ((start,),)) for start in item.starts]
         self.first = self.run_tasks(self.hopeful(tasks))
         self.polish(_promising(self.first, BUDGET.singles))
 
@@ -344,11 +334,12 @@ class Search:
     def pairs(self) -> None:
         """Try a second cause on top of the best singles, by score; then finish the best pairs."""
         tasks: list[Task] = []
-        for parent, scores in fitted(self.fitter, self.scored, self.parents(), self.workers):
+        parents = _one_of_each(self.fits.of_size(1))[: BUDGET.parents]
+        for parent, scores in fitted(self.fitter, self.scored, parents, self.workers):
             self.parent_blocks[parent.name] = parent.blocks
             self.scores_beside[parent.name] = scores
             likely = [s for s in scores if s.gain > BUDGET.min_linear_gain][: BUDGET.children]
-            tasks += [self.pair_task(parent, score) for score in likely]
+            tasks += [_pair_task(parent, score) for score in likely]
         unique: dict[frozenset[str], Task] = {}
         for task in tasks + self.crossed():
             unique.setdefault(frozenset(item.name for item in task.candidates), task)
@@ -360,20 +351,13 @@ class Search:
         if not best or misfit(self.model, best[0]).beyond == 0.0:
             return []
         singles = _one_of_each(self.first)
-        outstanding = (
-            len(singles) > 1 and BUDGET.outstanding_ratio * singles[0].cost < singles[1].cost
-        )
+        least = [BUDGET.outstanding_ratio * fit.cost for fit in singles[:1]]
+        outstanding = len(singles) > 1 and least[0] < singles[1].cost
         tasks = []
         for one, two in itertools.combinations(singles[: BUDGET.crossed], 2):
             other = two.candidates[0]
-            if (outstanding and one is not singles[0]) or not compatible(other, one.candidates):
-                continue
-            starts = [(*one.point, *two.point)]
-            starts += [(*one.point, start) for start in other.starts[:4]]
-            both = (*one.candidates, other)
-            tasks.append(
-                Task(both, tuple(starts), (one.shared, one.stroke), BUDGET.first_iterations)
-            )
+            if compatible(other, one.candidates) and (one is singles[0] or not outstanding):
+                tasks.append(Task.beside(one, other, (*two.point, *other.starts[:4])))
         return tasks
 
     def try_variants(self, best: FitResult) -> bool:
@@ -385,25 +369,19 @@ class Search:
         if best.name in self.varied:
             return False
         self.varied.add(best.name)
-        begin = (best.shared, best.stroke)
         tasks = []
         for index, (member, values) in enumerate(zip(best.candidates, best.values, strict=True)):
             before, after = best.candidates[:index], best.candidates[index + 1 :]
             for other in self.candidates:
-                if other.name == member.name or not compatible(other, (*before, *after)):
-                    continue
                 starts: Starts = ()
                 if other.id == member.id:
                     starts = (tuple(values.get(p.name, p.neutral) for p in other.parameters),)
                 elif len(best.candidates) > 1 and other.cause_class == member.cause_class:
                     starts = other.starts
-                points = tuple(
-                    (*best.point[:index], start, *best.point[index + 1 :]) for start in starts
-                )
-                if points:
-                    tasks.append(
-                        Task((*before, other, *after), points, begin, BUDGET.first_iterations)
-                    )
+                if starts and other.name != member.name and compatible(other, (*before, *after)):
+                    ends = best.point[:index], best.point[index + 1 :]
+                    points = tuple((*ends[0], start, *ends[1]) for start in starts)
+                    tasks.append(Task((*before, other, *after), points, (best.shared, best.stroke)))
         self.polish(self.run_tasks(tasks)[:1])
         return bool(tasks)
 
@@ -416,10 +394,9 @@ class Search:
         before = {score.candidate.name: score.free for score in self.scores}
         if len(leader.candidates) != 1 or not before:
             return False
-        others = [c for c in self.candidates if compatible(c, leader.candidates)]
         tasks = [
             Task((score.candidate,), tuple((start,) for start in score.candidate.starts), None, 6)
-            for score in screen(self.fitter, self.refine(leader, 0), others)
+            for score in self.scored(leader)[1]
             if gain * score.free < BUDGET.alike_evidence * before.get(score.candidate.name, 0.0)
             and score.candidate.name not in self.fits
         ]
@@ -437,48 +414,32 @@ class Search:
         detail = BUDGET.max_unexplained_share * excess + best.whole.detail
         if best.whole.beyond <= detail and not strained(best.training):
             return False
-        parents = [self.healthy]
-        singles = self.fits.of_size(1)
-        if singles and singles[0].cost < 0.5 * self.healthy.cost:
-            parents.append(singles[0])
+        better = [fit for fit in self.fits.of_size(1)[:1] if fit.cost < 0.5 * self.healthy.cost]
         tasks = [
-            Task(
-                (*parent.candidates, item),
-                tuple((*parent.point, start) for start in item.starts),
-                (parent.shared, parent.stroke),
-                BUDGET.term_iterations,
-            )
+            Task.beside(parent, item, item.starts, iterations=BUDGET.term_iterations)
             for item in self.terms
-            for parent in parents
+            for parent in (self.healthy, *better)
             if compatible(item, parent.candidates)
         ]
         self.polish(self.run_tasks(tasks)[: BUDGET.terms])
         return bool(tasks)
 
-    def parents(self) -> list[FitResult]:
-        """Singles that a second cause may be added to: the best ones, one for each identifier."""
-        return _one_of_each(self.fits.of_size(1))[: BUDGET.parents]
-
     def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:
-        """Scores of every compatible candidate on top of a single."""
+        """Return a single on all training strokes, and the scores of every compatible candidate."""
         full = self.refine(parent, 0)
         others = [c for c in self.candidates if compatible(c, parent.candidates)]
         return full, screen(self.fitter, full, others)
 
-    def pair_task(self, parent: FitResult, score: Score) -> Task:
-        """Return the fit of a pair, beginning at the single's optimum and the score's amount."""
-        starts = [(*parent.point, score.start)]
-        first = score.candidate.parameters[0]
-        value = first.neutral + score.amount * (score.start[0] - first.neutral)
-        if first.low <= value <= first.high:
-            starts.append((*parent.point, (value, *score.start[1:])))
-        return Task(
-            (*parent.candidates, score.candidate),
-            tuple(starts),
-            (parent.shared, parent.stroke),
-            BUDGET.first_iterations + 1,
-            parent.name,
-        )
+
+def _pair_task(parent: FitResult, score: Score) -> Task:
+    """Return the fit of a pair, beginning at the single's optimum and the score's amount."""
+    starts = [score.start]
+    first = score.candidate.parameters[0]
+    value = first.neutral + score.amount * (score.start[0] - first.neutral)
+    if first.low <= value <= first.high:
+        starts.append((value, *score.start[1:]))
+    iterations = BUDGET.first_iterations + 1
+    return Task.beside(parent, score.candidate, starts, iterations=iterations, parent=parent.name)
 
 
 def _one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
@@ -491,12 +452,9 @@ def _one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
 
 def _promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
     """Fits worth finishing: the best, and others whose cost is not hopelessly larger."""
-    if not fits:
-        return []
-    limit = BUDGET.max_cost_ratio * fits[0].cost
-    return [
-        fit for k, fit in enumerate(fits[:most]) if k < BUDGET.always_finished or fit.cost < limit
-    ]
+    limits = [BUDGET.max_cost_ratio * fit.cost for fit in fits[:1]]
+    first, others = fits[: BUDGET.always_finished], fits[BUDGET.always_finished : most]
+    return [*first, *(fit for fit in others if fit.cost < limits[0])]
 
 
 def _sample_of(model: Problem, training: Sequence[int]) -> tuple[int, ...]:

@@ -38,11 +38,10 @@ Breakaway is counted against the sliding friction."""
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of healthy tolerances (of the unit, whole campaigns) and scatter (of strokes).
+    """Standard deviations of healthy tolerances (of the unit) and scatter (of strokes), which all count in them.
 
-    Every quantity is counted in these, so that each has a standard normal prior. offset: of sensors,
-    by kind of channel, in its unit. root: [unit, unit], the amounts of the unit by independent standard
-    normal numbers; where a calibration says how they go together they are not independent themselves.
+    offset: of sensors, by kind of channel, in its unit. root: [unit, unit], the amounts of the unit by
+    independent standard normal numbers, as a calibration says they go together.
     """
 
     unit: dict[str, float]

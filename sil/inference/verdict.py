@@ -22,7 +22,6 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from plant.errors import IntegrationError
 from sil.inference.candidate import Candidate
 from sil.inference.evidence import Misfit, misfit, strained
 from sil.inference.fit import FitResult, Fitter
@@ -32,11 +31,7 @@ from sil.inference.workers import fitted
 
 
 class Explanation(Protocol):
-    """What a verdict needs of a hypothesis that all strokes have judged.
-
-    score: cost, lower is better, in log evidence; held_cost: the part on held-out strokes (None: all
-    of it is); whole: the fit against its floor.
-    """
+    """What a verdict needs of a hypothesis that all strokes have judged."""
 
     probability: float
 
@@ -80,9 +75,8 @@ E = TypeVar("E", bound=Explanation)
 class Judged:
     """A hypothesis judged by all strokes.
 
-    training, held_out_fit: fits; both: the training one with the held-out strokes; score: evidence/2 on the
-    training plus cost on the held-out strokes; misfit: over the held-out strokes (over the training
-    ones if none are held out); whole: over all.
+    training, held_out_fit: fits; both: the two in one; score: evidence/2 on the training plus cost on the
+    held-out strokes; misfit: over the held-out strokes, the training ones without any; whole: over all.
     """
 
     training: FitResult
@@ -92,6 +86,7 @@ class Judged:
     misfit: Misfit
     whole: Misfit
     probability: float = 0.0
+    shared_with_unnamed: float = LIMITS.pair_prior
 
     @property
     def name(self) -> str:
@@ -118,11 +113,6 @@ class Judged:
         """Whether noise explains what it leaves, with ordinary tolerances and scatter."""
         return self.whole.is_noise and not strained(self.training)
 
-    @property
-    def shared_with_unnamed(self) -> float:
-        """Probability that its causes act if something without a name does."""
-        return LIMITS.pair_prior
-
 
 HeldOutFits = dict[str, tuple[FitResult, FitResult | None]]
 """Fits by name, and what the held-out strokes made of them: None if they cannot be simulated."""
@@ -135,10 +125,7 @@ def judge(
     workers: int = 1,
     evaluated: HeldOutFits | None = None,
 ) -> list[Judged]:
-    """Held-out evaluation of fits, best score first.
-
-    evaluated: earlier evaluations, which are not repeated; new ones are added.
-    """
+    """Held-out evaluation of fits, best score first; `evaluated`: earlier ones, to which new ones are added."""
     evaluated = {} if evaluated is None else evaluated
     model = fitter.model
     # offsets of gauges that no training stroke has: held-out ones determine them
@@ -149,13 +136,9 @@ def judge(
 
     def work(fit: FitResult) -> FitResult | None:
         frozen = [k for k in range(len(fit.shared)) if k not in free]
-        try:
-            return fitter.fit(
-                fit.candidates, start=fit.shared, use=held_out, iterations=4, freeze=frozen
-            ).light()
-        except IntegrationError as error:
-            fitter.refusals.lose(fit.candidates, error)
-            return None
+        return fitter.attempt(
+            fit.candidates, start=fit.shared, use=held_out, iterations=4, freeze=frozen
+        )
 
     judged = []
     new = [
@@ -241,9 +224,8 @@ def by_cause(hypotheses: Iterable[tuple[tuple[str, ...], float]]) -> dict[str, f
 class Verdict(Generic[E]):
     """What is concluded, before figures are put to it.
 
-    leader: the hypothesis that explains best; claimed: its causes; probabilities: of the claimed
-    causes, their rivals and `unnamed`, as far as at least LIMITS.min_rival_probability; hypotheses:
-    causes and probability of each, in all 1; gains: score lost by leaving a claimed cause out.
+    leader: the hypothesis that explains best; claimed: its causes; probabilities: of these, their rivals
+    and `unnamed`; hypotheses: causes and probability of each; gains: score lost without a claimed cause.
     """
 
     kind: str
@@ -291,9 +273,8 @@ def _gains_of(leader: E, judged: Sequence[E], name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What a verdict is decided from.
+    """What a verdict is decided from: probabilities of the leading causes and that something unnamed acts.
 
-    claimed: probabilities of the leading causes; unnamed: that something without a name acts;
     undecidable: why nothing can be concluded, empty if something can.
     """
 

@@ -37,10 +37,7 @@ def spread_out(
     workers: int,
     progress: Show = no_progress,
 ) -> list[Answer]:
-    """Return work(item) of every item; in `workers` forked processes if that is more than one.
-
-    progress(done, size) is called after every item. Raises RunError if a process dies.
-    """
+    """Return work(item) of every item; raises RunError if one of the forked processes dies, if `workers` are more than one."""
     answers: list[Answer] = []
     number = min(workers, len(items))
     for answer in in_processes(work, items, number) if number > 1 else map(work, items):

@@ -55,10 +55,7 @@ class Calibrated:
 def calibrated_values(
     parameters: ParameterSet, model: CampaignModel, fit: FitResult
 ) -> dict[str, Calibrated]:
-    """Return by path what a fit makes of a data sheet.
-
-    Intervals by the slopes of the values: in logarithms, of the delays as they are.
-    """
+    """Return by path what a fit makes of a data sheet, intervals by slopes: in logarithms, of the delays as they are."""
     count = len(model.unit)
     root = model.spread.root
     amounts: Floats = root @ fit.shared[:count]
@@ -167,11 +164,7 @@ MIN_SHRINKAGE = 0.9
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A channel on strokes that the fit did not use.
-
-    misfit: rms over the noise; noise, discrepancy: standard deviations in the channel's unit; time_s:
-    correlation time of the discrepancy.
-    """
+    """A channel on strokes that the fit did not use: rms over the noise, deviations in its unit, correlation time."""
 
     misfit: ChannelMisfit
     noise: float
@@ -184,9 +177,9 @@ class Calibration:
     """A calibrated unit.
 
     name: of the data; content: how many strokes or shifts; values: what the model file states, by path;
-    changes: each quantity of the unit with its amount, its deviation after the fit, and the one before
-    it; posterior: what the file says of these; undetermined: quantities that stay as their priors say;
-    missing: structures that would explain what is left, and their shares of it; None: not looked for.
+    changes: each quantity of the unit with its amount, its deviation after the fit and before it;
+    posterior: what the file says of these; missing: structures that would explain what is left, and
+    their shares of it, None if not looked for.
     """
 
     name: str
@@ -295,10 +288,7 @@ def calibrate(
 
 
 def held_out(model: CampaignModel, progress: Show) -> dict[str, HeldOut]:
-    """Return each channel's residual on strokes that the fit did not use, every stroke once.
-
-    Raises IntegrationError where the motion cannot be continued.
-    """
+    """Return each channel's residual on strokes that the fit did not use; raises IntegrationError where motion cannot be continued."""
     fitter = Fitter(model, progress)
     blocks: dict[int, Block] = {}
     start = None
@@ -336,10 +326,7 @@ def residuals(
 
 
 def covariances(parts: list[Floats]) -> tuple[float, float]:
-    """Return the mean square of residuals, arrays [n] in one unit, and their excess over white noise summed over all lags.
-
-    The sum ends at the first lag that is not positively correlated.
-    """
+    """Return the mean square of residuals, arrays [n], and their excess over white noise, summed up to the first lag without correlation."""
     variance = float(np.mean(np.concatenate(parts) ** 2))
     total = 0.0
     for lag in range(1, min(map(len, parts)) // 2):

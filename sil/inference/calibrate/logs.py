@@ -133,10 +133,9 @@ def _alike(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _estimates(fitter: Fitter, fits: Sequence[Fit]) -> dict[str, _Estimate]:
-    """Return the quantities of the truck by name, by the first of fits that are alike.
+    """Return the quantities of the truck by name, by the first of fits that are alike, with the intervals of all together.
 
-    Intervals are those of all of them together: friction, mass and supply are one long ridge, along which
-    fits from several supplies end in different places.
+    Friction, mass and supply are one long ridge, along which fits from several supplies end in different places.
     """
     result = {}
     for name in OF_TRUCK:
@@ -177,10 +176,7 @@ def _is_of(name: str, path: str) -> bool:
 
 
 def _held_out(fitter: Fitter, fit: Fit, show: Show) -> HeldOut:
-    """Return what the model leaves of shifts that it was not fitted to, every shift once.
-
-    Their loads and the supply of their trip are fitted; the truck and the way to its log are kept.
-    """
+    """Return what the model leaves of shifts that it was not fitted to: only their loads and the supply of their trip are."""
     model, trips = fitter.model, trips_of(fitter.model.shifts)
     of_trip = {name for name in fitter.layout.at if name.startswith("supply_")}
     kept = [k for name, k in fitter.layout.at.items() if name not in {*of_trip, "supply"}]

@@ -19,10 +19,7 @@ from sil.report.shell import Head, render
 
 
 def model_text(result: Calibration) -> str:
-    """Return the text of the calibrated model file.
-
-    It states all that differs from the shipped set `nominal`, so that no other file is needed.
-    """
+    """Return the text of the calibrated model file, all that differs from the set `nominal`: it needs no other file."""
     nominal, given = load(), result.parameters
     source = f"calibrated on {result.name}, {result.content}"
     entries = {

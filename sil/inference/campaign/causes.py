@@ -1,4 +1,4 @@
-"""Causes as they are reported: parameters, one sentence of evidence, and the extended model.
+"""Causes and gains as they are reported, with evidence in figures, and the extended model.
 
 Checked by: tests/unit/sil/inference/test_diagnose.py
 """
@@ -27,37 +27,42 @@ def causes_of(
     fitter: Fitter, verdict: Verdict[Judged], judged: list[Judged], final: FitResult, workers: int
 ) -> list[ReportedCause]:
     """Return the leading causes, their rivals and what has no name, most probable first."""
-    causes = []
-    leader = verdict.leader
-
-    def add(candidate: Candidate, parameters: dict[str, Interval], evidence: str) -> None:
-        what = candidate.effect.what
-        if candidate.is_term:
-            what = f"{what}, depending on {form_of(candidate).on}"
-        probability = verdict.probabilities[candidate.id]
-        where, kind = candidate.variant, candidate.cause_class
-        causes.append(
-            ReportedCause(candidate.id, kind, probability, parameters, evidence, where, what)
-        )
-
+    leader, profiled = verdict.leader, {}
     if final.candidates:
-        intervals_by_name = intervals(fitter, final, leader.whole, workers)
-        for candidate in final.candidates:
-            parameters = intervals_by_name[candidate.name]
-            add(candidate, parameters, _evidence(candidate, verdict, parameters))
+        profiled = intervals(fitter, final, leader.whole, workers)
+    rows = [
+        (c, profiled[c.name], _evidence(c, verdict, profiled[c.name])) for c in final.candidates
+    ]
+    unnamed = []
     for name, probability in verdict.probabilities.items():
         if name in verdict.claimed:
             continue
         item = next((i for i in judged if name in i.ids and i.probability > 0.0), None)
         if item is None:
-            causes.append(_without_a_name(verdict, judged, probability))
+            unnamed.append(_without_a_name(verdict, judged, probability))
             continue
         candidate = item.training.candidates[item.ids.index(name)]
         parameters = intervals(fitter, item.training, item.whole, 1, profile=False)[candidate.name]
         text = f"{item.name} leaves {item.misfit.rms:.3g} times the noise on held-out strokes"
-        add(candidate, parameters, f"{text}; {leader.name} leaves {leader.misfit.rms:.3g}")
+        rows.append(
+            (candidate, parameters, f"{text}; {leader.name} leaves {leader.misfit.rms:.3g}")
+        )
+    causes = [
+        ReportedCause(
+            c.id, c.cause_class, verdict.probabilities[c.id], parameters, text, c.variant, _what(c)
+        )
+        for c, parameters, text in rows
+    ]
     gains = verdict.gains
-    return sorted(causes, key=lambda cause: (-cause.probability, -gains.get(cause.id, 0.0)))
+    return sorted(
+        causes + unnamed, key=lambda cause: (-cause.probability, -gains.get(cause.id, 0.0))
+    )
+
+
+def _what(candidate: Candidate) -> str:
+    """Return what a cause is, of a term with the quantity that it depends on."""
+    on = f", depending on {form_of(candidate).on}" if candidate.is_term else ""
+    return f"{candidate.effect.what}{on}"
 
 
 def _without_a_name(
@@ -69,8 +74,7 @@ def _without_a_name(
     name = max(channels, key=lambda item: channels[item].rms)
     terms = [c for item in judged for c in item.training.candidates if c.is_term]
     if terms:
-        kind = terms[0].cause_class
-        what = f"{terms[0].effect.what}, depending on {form_of(terms[0]).on}"
+        kind, what = terms[0].cause_class, _what(terms[0])
     else:
         classes = {"position": "mechanics", "oil": "damper", "pressure": "flow restriction"}
         kind = "internal sensor" if name == "position_internal_m" else classes[kind_of(name)]
@@ -159,14 +163,14 @@ class Relative:
 
 def relative_errors(model: CampaignModel, fit: FitResult) -> dict[str, Relative]:
     """Return the relative errors of each channel over whole records."""
-    errors: dict[str, list[tuple[float, float]]] = {}
+    errors: dict[str, list[Floats]] = {}
     for k, block in fit.blocks.items():
         for channel, r in channel_parts(model.strokes[k], block.residual):
             share = np.abs(r * channel.sd) / float(np.abs(channel.measured).max())
-            errors.setdefault(channel.name, []).append((share.mean(), share.max()))
+            errors.setdefault(channel.name, []).append(share)
     return {
-        name: Relative(float(np.mean(means)), float(np.max(largest)))
-        for name, (means, largest) in ((n, zip(*v, strict=True)) for n, v in errors.items())
+        name: Relative(float(np.mean([s.mean() for s in shares])), float(max(map(np.max, shares))))
+        for name, shares in errors.items()
     }
 
 

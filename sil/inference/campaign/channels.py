@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sil.campaign.campaign import OWN_COLUMN, Floats
 from sil.campaign.units import COLUMN_UNITS, OTHER, PRESSURE_LEVELS, RAW, SCALES, unit_of
@@ -26,9 +25,6 @@ NAME_PATTERNS = {
     "cmd": r"(y|u|i|mv|ev)(?=\d$|[\W_])|.*(coil|cmd|command|valve|ventil|spule|magnet|solenoid|pwm|duty)",
 }
 """Names by which a channel is recognised if no unit identifies it; of a chamber's, how they begin."""
-
-PLAUSIBLE = {"time_s": 0.05, "position_m": 1.0, "pressure_pa": 2e4}
-"""Values without a unit are not SI: steps above 50 ms, positions above 1 m, pressures all below 0.2 bar."""
 
 
 @dataclass(frozen=True)
@@ -64,21 +60,19 @@ def chamber_of(name: str, chambers: str) -> str:
 def recognise(
     columns: Mapping[str, Floats], units: Mapping[str, str], chambers: str
 ) -> list[RecordedColumn]:
-    """Return what each column [n] is taken for.
+    """Return what each column [n], in the file's unit, is taken for; units: those stored apart from the names.
 
-    columns: in the file's units; units: those stored apart from the names; chambers: letters of the
-    rig's chambers, empty for a rig of which force and position are known.
+    chambers: letters of the rig's chambers, empty for a rig of which force and position are known.
     """
     channels: list[RecordedColumn] = []
     for name, values in columns.items():
         channel = _recognised(name, values, units.get(name, ""), chambers)
         if channel.ours in {one.ours for one in channels} - {""}:
-            again = RecordedColumn(name, channel.unit, open=f"a second {channel.ours}, not used")
             if channel.ours == "pressure_pa" and not chambers:
-                again = RecordedColumn(
-                    name, channel.unit, "pressure_2_pa", channel.scale, channel.open
-                )
-            channel = again
+                channel = replace(channel, ours="pressure_2_pa")
+            else:
+                text = f"a second {channel.ours}, not used"
+                channel = RecordedColumn(name, channel.unit, open=text)
         channels.append(channel)
     return channels
 
@@ -122,45 +116,35 @@ def _recognised(name: str, values: Floats, stored: str, chambers: str) -> Record
 def _command(name: str, unit: str, values: Floats, chamber: str) -> RecordedColumn:
     if not chamber:
         return RecordedColumn(name, unit, open="a valve's command? of which valve?")
+    ours = f"cmd_{chamber}"
     if unit == "%":
-        return RecordedColumn(name, unit, f"cmd_{chamber}", 0.01)
+        return RecordedColumn(name, unit, ours, 0.01)
     if float(values.max()) <= 1.0 and unit in ("", "-", "1"):
-        return RecordedColumn(name, unit, f"cmd_{chamber}")
-    return RecordedColumn(name, unit, f"cmd_{chamber}", None, "on above half of its largest value")
+        return RecordedColumn(name, unit, ours)
+    return RecordedColumn(name, unit, ours, None, "on above half of its largest value")
 
 
 def _without_scale(name: str, unit: str, ours: str, values: Floats) -> RecordedColumn:
-    si = next(
-        iter(
-            COLUMN_UNITS[
-                "pressure_pa" if ours.startswith("pressure") else ours.replace("_internal", "")
-            ]
-        )
-    )
+    quantity = "pressure_pa" if ours.startswith("pressure") else ours.replace("_internal", "")
+    si = next(iter(COLUMN_UNITS[quantity]))
     if unit:
-        return RecordedColumn(
-            name, unit, ours, None, f"if it is one: scale in {si} per {unit}, and offset?"
-        )
+        question = f"if it is one: scale in {si} per {unit}, and offset?"
+        return RecordedColumn(name, unit, ours, None, question)
     largest = float(np.abs(values).max())
+    # not SI: steps above 50 ms, positions above 1 m, pressures all below 0.2 bar
     likely = {
-        "time_s": float(np.median(np.diff(values))) <= PLAUSIBLE["time_s"],
-        "position_m": largest <= PLAUSIBLE["position_m"],
-    }.get(
-        ours.replace("_internal", ""),
-        not ours.startswith("pressure") or largest >= PLAUSIBLE["pressure_pa"],
-    )
-    if likely:
+        "time_s": float(np.median(np.diff(values))) <= 0.05,
+        "position_m": largest <= 1.0,
+        "pressure_pa": largest >= 2e4,
+    }
+    if likely.get(quantity, True):
         return RecordedColumn(name, unit, ours, 1.0, f"no unit is stated: {si} is assumed")
-    return RecordedColumn(
-        name, unit, ours, None, f"no unit is stated, and {si} is unlikely: scale?"
-    )
+    question = f"no unit is stated, and {si} is unlikely: scale?"
+    return RecordedColumn(name, unit, ours, None, question)
 
 
 def pressures(channels: list[RecordedColumn], tables: Sequence[Mapping[str, Floats]]) -> str:
-    """Return whether pressures are absolute, by unit or level, or "?" where only the user can tell.
-
-    tables: columns [n] of each file, in the files' units.
-    """
+    """Return whether pressures, columns [n] of each file, are absolute, by unit or level, or "?" where only the user can tell."""
     stated = {
         PRESSURE_LEVELS.get(c.unit, ("", ""))[0] for c in channels if c.ours.startswith("pressure_")
     }
@@ -178,32 +162,27 @@ def pressures(channels: list[RecordedColumn], tables: Sequence[Mapping[str, Floa
 def commands(
     channels: list[RecordedColumn], table: Mapping[str, Floats]
 ) -> tuple[list[str], list[list[object]]]:
-    """Return which valves are on at the beginning, and each later change as time in s, valve, duty.
-
-    table: columns [n] of a file, in its units.
-    """
-    clock = next((c for c in channels if c.ours == "time_s" and c.scale), None)
+    """Return which valves are on at the beginning of a file [n], and each later change as time in s, valve, duty."""
+    clocks = [(c.name, c.scale) for c in channels if c.ours == "time_s" and c.scale]
     charged: list[str] = []
     changes: list[list[object]] = []
-    for channel in channels if clock else ():
+    for channel in channels if clocks else ():
         if not channel.ours.startswith("cmd_"):
             continue
-        valve, values = channel.ours[4:], table[channel.name]
+        clock, scale = clocks[0]
+        valve, values, time_s = (
+            channel.ours[4:],
+            table[channel.name],
+            table[clock] - table[clock][0],
+        )
         on = values > 0.5 * max(float(values.max()), 1e-12)
         charged += [valve] if on[0] else []
-        assert clock is not None and clock.scale is not None
-        time_s = (table[clock.name] - table[clock.name][0]) * clock.scale
-        for begin, end in _runs(on):
-            duty = (
-                float(np.median(values[begin:end])) * (channel.scale or 0.0) if on[begin] else 0.0
-            )
+        # each run of equal values after the first one
+        edges = [*(np.flatnonzero(np.diff(on.astype(int))) + 1).tolist(), len(on)]
+        for begin, end in itertools.pairwise(edges):
+            duty = float(np.median(values[begin:end])) * (channel.scale or 0.0)
             if on[begin] and (channel.scale is None or duty == 1.0):
                 duty = 0.98
-            changes.append([round(float(time_s[begin]), 6), valve, round(duty, 3)])
+            when_s = round(float(time_s[begin] * scale), 6)
+            changes.append([when_s, valve, round(duty, 3) if on[begin] else 0.0])
     return charged, sorted(changes, key=str)
-
-
-def _runs(on: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Yield where each run of equal values after the first one begins and ends."""
-    edges = [*(np.flatnonzero(np.diff(on.astype(int))) + 1).tolist(), len(on)]
-    yield from itertools.pairwise(edges)

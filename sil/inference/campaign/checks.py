@@ -7,7 +7,7 @@ Checked by: tests/unit/sil/inference/campaign/test_checks.py
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,8 +50,7 @@ def observed(
 ) -> tuple[list[StrokeObservation], list[Finding]]:
     """Return the strokes of a campaign, checked, and what is odd about them but usable.
 
-    Raises InputError for a stroke that cannot be compared, and if no stroke has a position or a
-    pressure.
+    Raises InputError for a stroke that cannot be compared, and if none has a position or a pressure.
     """
     findings: list[Finding] = []
     records = [campaign.record(entry) for entry in campaign.strokes]
@@ -79,23 +78,16 @@ def observed(
             for name in item.channel.split(", ")
         }
         if dead or k in shifts or noise:
+            shift_s = shifts.get(k, 0.0)
+            left_out = clipped[k], dead
             strokes[k] = observe(
-                entry,
-                records[k],
-                parameters,
-                clipped[k],
-                dead,
-                shift_s=shifts.get(k, 0.0),
-                noise=noise,
+                entry, records[k], parameters, *left_out, shift_s=shift_s, noise=noise
             )
     if not any(stroke.channels or stroke.internal for stroke in strokes):
         raise InputError(f"{campaign.folder}: no position and no pressure in any stroke")
     for name, measured_noise in noise.items():
-        usual = nominal[kind_of(name)].sd
-        text = (
-            f"noise of {quantity(measured_noise.sd, unit_of(name), 2)}, "
-            f"{measured_noise.sd / usual:.2g} times what is usual"
-        )
+        times = f"{measured_noise.sd / nominal[kind_of(name)].sd:.2g} times what is usual"
+        text = f"noise of {quantity(measured_noise.sd, unit_of(name), 2)}, {times}"
         findings.append(Finding(campaign.name, name, f"{text}: estimated from the records"))
     return strokes, findings
 
@@ -113,24 +105,20 @@ def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet
         raise InputError(f"{path}: {why}")
     duration = time_s[-1] - time_s[0]
     if len(time_s) < 16 or duration < 0.02:
-        raise InputError(
-            f"{path}: {len(time_s)} samples over {duration:.4g} s; expected a whole stroke"
-        )
+        what = f"{len(time_s)} samples over {duration:.4g} s"
+        raise InputError(f"{path}: {what}; expected a whole stroke")
     steps = np.diff(time_s)
-    gaps = steps[steps > 3.0 * np.median(steps)] - np.median(steps)
+    usual = np.median(steps)
+    gaps = steps[steps > 3.0 * usual] - usual
     if gaps.sum() > 0.02 * duration:
-        line = int(np.argmax(steps)) + 3
-        raise InputError(
-            f"{path}: line {line}: time_s jumps by {steps.max():.4g} s; "
-            f"expected steps of {np.median(steps):.4g} s"
-        )
+        where = f"{path}: line {int(np.argmax(steps)) + 3}"
+        expected = f"expected steps of {usual:.4g} s"
+        raise InputError(f"{where}: time_s jumps by {steps.max():.4g} s; {expected}")
     commands = [when for when, _valve, _duty in entry.conditions.commands] or [0.0]
     if duration < min(commands) + 0.03:
-        raise InputError(
-            f"{path}: ends at {time_s[-1]:.4g} s; the stroke's first command is at "
-            f"{min(commands):.4g} s"
-        )
-    findings = []
+        first = f"the stroke's first command is at {min(commands):.4g} s"
+        raise InputError(f"{path}: ends at {time_s[-1]:.4g} s; {first}")
+    findings: list[Finding] = []
     if len(gaps):
         text = f"{counted(len(gaps), 'gap')}, {gaps.sum():.3g} s in all; nothing is assumed in them"
         findings.append(Finding(entry.file, "time_s", text))
@@ -147,69 +135,57 @@ def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet
 
 def _check_position(entry: CampaignStroke, record: Record, parameters: ParameterSet) -> None:
     """Refuse a potentiometer that is not in metres, beyond the rig's travel or does not move."""
-    path, values = record.path, record["position_m"]
+    where, values = f"{record.path}: position_m", record["position_m"]
     section = "fixed" if entry.conditions.kind == "fixed" else "length"
     stroke = parameters.value(f"{section}.stroke")
     largest, moved = float(np.abs(values).max()), float(np.ptp(values))
+    spans = {name: float(np.ptp(column)) for name, column in record.columns.items()}
     if largest > 2.0 * stroke:
+        hint = _unit_hint(largest / stroke, "position_m")
+        most = f"at most {1.2 * stroke:.4g} m{hint}"
+        raise InputError(f"{where}: reaches {largest:.4g}; expected metres, {most}")
+    pressures_move = any(n.startswith("pressure_") and span > 5e4 for n, span in spans.items())
+    if moved < 0.02 * stroke and len(np.unique(values)) < 3 and pressures_move:
         raise InputError(
-            f"{path}: position_m: reaches {largest:.4g}; expected metres, at most "
-            f"{1.2 * stroke:.4g} m{_unit_hint(largest / stroke, 'position_m')}"
+            f"{where}: does not move from {values[0]:.5g} m while pressures move; expected the stroke"
         )
-    if moved < 0.02 * stroke and len(np.unique(values)) < 3:
-        gauges = [c for c in record.columns if c.startswith("pressure_")]
-        if any(float(np.ptp(record[column])) > 5e4 for column in gauges):
-            raise InputError(
-                f"{path}: position_m: does not move from {values[0]:.5g} m while pressures move; "
-                "expected the stroke"
-            )
-    if 0.0 < moved < 0.05 * stroke and "position_internal_m" in record:
-        internal = float(np.ptp(record["position_internal_m"]))
-        if internal > 0.5 * stroke:
-            raise InputError(
-                f"{path}: position_m: moves {moved:.3g} while position_internal_m moves "
-                f"{internal:.3g} m; expected metres"
-            )
+    internal = spans.get("position_internal_m", 0.0)
+    if 0.0 < moved < 0.05 * stroke and internal > 0.5 * stroke:
+        raise InputError(
+            f"{where}: moves {moved:.3g} while position_internal_m moves {internal:.3g} m; "
+            "expected metres"
+        )
 
 
 def _check_pressure(
     entry: CampaignStroke, record: Record, name: str, parameters: ParameterSet
 ) -> list[Finding]:
     """Refuse a gauge that is not in absolute pascals within its range, or stuck; report clipping."""
-    atmosphere = entry.conditions.atmosphere_pa
-    supply = entry.conditions.supply_pressure_pa
-    values, where = record[name], f"{record.path}: {name}"
-    oil = name == "pressure_oil2_pa"
+    atmosphere, supply = entry.conditions.atmosphere_pa, entry.conditions.supply_pressure_pa
+    values, oil = record[name], name == "pressure_oil2_pa"
     high, low = float(values.max()), float(values.min())
-    if high < 0.02 * atmosphere:
-        raise InputError(
-            f"{where}: at most {high:.4g}; expected pascals, absolute "
-            f"(about {atmosphere:.4g} at rest){_unit_hint(high / supply, 'pressure_pa')}"
-        )
-    if not oil and high > 2.0 * max(supply, atmosphere):
-        raise InputError(
-            f"{where}: reaches {high:.4g} Pa; expected at most the supply's "
-            f"{supply:.4g} Pa{_unit_hint(high / supply, 'pressure_pa')}"
-        )
-    if low < 0.5 * atmosphere and not oil:
-        raise InputError(
-            f"{where}: falls to {low:.4g} Pa; expected absolute pressure, about "
-            f"{atmosphere:.4g} Pa at rest (gauge pressure, or another unit?)"
-        )
-    if high == low:
-        raise InputError(
-            f"{where}: constant at {values[0]:.6g} Pa; expected at least its noise "
-            "(leave a dead channel out)"
-        )
+    hint = _unit_hint(high / supply, "pressure_pa")
+    flaws = {
+        f"at most {high:.4g}; expected pascals, absolute (about {atmosphere:.4g} at rest){hint}": (
+            high < 0.02 * atmosphere
+        ),
+        f"reaches {high:.4g} Pa; expected at most the supply's {supply:.4g} Pa{hint}": (
+            not oil and high > 2.0 * max(supply, atmosphere)
+        ),
+        f"falls to {low:.4g} Pa; expected absolute pressure, about {atmosphere:.4g} Pa at rest "
+        "(gauge pressure, or another unit?)": low < 0.5 * atmosphere and not oil,
+        f"constant at {values[0]:.6g} Pa; expected at least its noise (leave a dead channel out)": (
+            high == low
+        ),
+    }
+    for text, is_so in flaws.items():
+        if is_so:
+            raise InputError(f"{record.path}: {name}: {text}")
     top = parameters.value("gauge.range_oil" if oil else "gauge.range_air")
     clipped = values >= high - 1e-9
     share = float(np.mean(clipped))
-    if (
-        share > 0.005
-        and high > 1.5 * atmosphere
-        and (high < 0.995 * supply or high >= 0.999 * top)
-        and longest_run(clipped) >= 20
-    ):
+    beyond = high > 1.5 * atmosphere and (high < 0.995 * supply or high >= 0.999 * top)
+    if share > 0.005 and beyond and longest_run(clipped) >= 20:
         text = f"{SATURATED} at {high:.6g} Pa ({share:.1%}); left out there"
         return [Finding(entry.file, name, text)]
     return []
@@ -228,13 +204,12 @@ def _unit_hint(ratio: float, column: str) -> str:
 def check_signals(
     strokes: Sequence[StrokeObservation], campaign: Campaign
 ) -> tuple[list[Finding], dict[int, float]]:
-    """Return swapped gauges and shifted records, found by the unfitted model.
+    """Return swapped gauges and the shift [s] of each record that has one unlike most others, by the unfitted model.
 
-    Returns the findings and the shift [s] of each stroke that has one unlike most others: what they
-    share is left to the hypotheses, a late valve among them. Raises InputError for a position of
-    reversed sign.
+    What shifts share is left to the hypotheses, a late valve among them. Raises InputError for a position
+    of reversed sign.
     """
-    findings = []
+    findings: list[Finding] = []
     shifts: dict[int, float] = {}
     for k, stroke in enumerate(strokes):
         try:
@@ -243,10 +218,7 @@ def check_signals(
             continue
         pressures, motion = (_signals(stroke, states, kind) for kind in ("pressure", "position"))
         _refuse_reversed(stroke, states, motion, campaign)
-        findings += [
-            Finding(stroke.entry.file, pair, f"channels are {SWAPPED}; left out")
-            for pair in _swapped(pressures, 1e9, 0.1)
-        ]
+        findings += _swapped(stroke, pressures, 1e9, 0.1, "; left out")
         shift = time_shift(pressures)
         # late gauges are no shifted record: the position would be late too
         moves_too = not motion or np.diff(_shift_costs(motion, np.array([0.0, shift])))[0] < 0.0
@@ -257,9 +229,8 @@ def check_signals(
         alike = [s for j, s in shifts.items() if j != k and closing[j] == closing[k]]
         if abs(shift) >= SHIFT_S and alike and np.median(np.abs(alike)) < SHIFT_S:
             to_take_off[k] = shift
-    return findings + [
-        _shifted(strokes[k], shift, "; taken off") for k, shift in to_take_off.items()
-    ], to_take_off
+            findings.append(_shifted(strokes[k], shift, "; taken off"))
+    return findings, to_take_off
 
 
 def _refuse_reversed(
@@ -283,7 +254,7 @@ def _refuse_reversed(
 
 def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
     """Return what the fit itself shows of single strokes: swapped channels, a shifted time base."""
-    findings = []
+    findings: list[Finding] = []
     for k, block in fit.blocks.items():
         stroke = model.strokes[k]
         pressures = {
@@ -291,10 +262,7 @@ def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
             for c, part in channel_parts(stroke, block.residual)
             if c.kind == "pressure"
         }
-        findings += [
-            Finding(stroke.entry.file, pair, f"channels are {SWAPPED}")
-            for pair in _swapped(pressures, 1e8, 0.25)
-        ]
+        findings += _swapped(stroke, pressures, 1e8, 0.25)
         shift = time_shift(pressures)
         if abs(shift) >= SHIFT_S:
             findings.append(_shifted(stroke, shift))
@@ -314,28 +282,25 @@ def _shifted(stroke: StrokeObservation, shift: float, then: str = "") -> Finding
     return Finding(stroke.entry.file, "time_s", text)
 
 
-def _swapped(pressures: Signals, least: float, share: float) -> list[str]:
-    """Return pairs of gauges whose misfit is at least this [Pa^2] and less than a share if exchanged."""
+def _swapped(
+    stroke: StrokeObservation, pressures: Signals, least: float, share: float, then: str = ""
+) -> Iterator[Finding]:
+    """Yield pairs of gauges whose misfit is at least this [Pa^2] and less than a share if exchanged."""
 
     def misfit(measured: Floats, predicted: Floats) -> float:
         return float(np.mean((measured - predicted) ** 2))
 
-    pairs = []
     for one, two in itertools.combinations(sorted(pressures), 2):
         (a, b, _t), (c, d, _s) = pressures[one], pressures[two]
         if len(a) != len(c):
             continue
-        straight = misfit(a, b) + misfit(c, d)
-        if straight > least and misfit(a, d) + misfit(c, b) < share * straight:
-            pairs.append(f"{one}, {two}")
-    return pairs
+        straight, exchanged = misfit(a, b) + misfit(c, d), misfit(a, d) + misfit(c, b)
+        if straight > least and exchanged < share * straight:
+            yield Finding(stroke.entry.file, f"{one}, {two}", f"channels are {SWAPPED}{then}")
 
 
 def time_shift(pressures: Signals) -> float:
-    """Return the shift of the measured pressures against the predicted ones that explains them [s].
-
-    Zero unless a shift removes nine tenths of the misfit.
-    """
+    """Return the shift of measured against predicted pressures that removes nine tenths of the misfit [s], 0 if none does."""
     if not pressures:
         return 0.0
     coarse = np.arange(-0.03, 0.0301, 0.0005)

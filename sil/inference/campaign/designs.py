@@ -8,16 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.errors import IntegrationError
-from plant.kernel.layout import FIXED, LENGTH
+from plant.kernel.layout import FIXED
 from plant.parameters import ParameterSet
 from plant.systems.stroke import simulate
-from sil.campaign.campaign import CampaignStroke, Floats, Record, stroke_columns
+from sil.campaign.campaign import CampaignStroke, Record, stroke_columns
 from sil.campaign.simulate import TAIL_S
 from sil.inference.campaign.observations import StrokeObservation, observe
 
@@ -36,29 +37,28 @@ def designs(
 ) -> list[CampaignStroke]:
     """Return strokes that the rig can do, each once: what was measured, varied.
 
-    Kinds, loads and springs as measured; supply pressures from the lowest to the highest one that
-    was; the driving valve as commanded, 3 s later, or open for 20 or 50 ms, less and more than it takes to close; the opposite chamber
-    charged and vented as the stroke begins, or not. folder: of their files; every_rest: with the shortest and the
-    longest rest, otherwise with the first one.
+    Kinds, loads and springs as measured; supply pressures from the lowest to the highest; the driving
+    valve as commanded, 3 s later, or open for 20 or 50 ms; the opposite chamber charged and vented as
+    the stroke begins, or not. folder: of their files; every_rest: with the shortest and the longest rest,
+    otherwise with the first one.
     """
     measured = [stroke.conditions for stroke in strokes]
     supplies = _supplies(measured)
     rests = sorted({c.rest_s for c in measured})
     rests = sorted({rests[0], rests[-1]}) if every_rest else [measured[0].rest_s]
-    distinct: dict[StrokeConditions, None] = {}
-    for base in measured:
-        for commanded in (base, *_against(base)):
-            for commands in (commanded.commands, *_pulses(commanded), *_later(commanded)):
-                for supply_pa in supplies:
-                    for rest_s in rests:
-                        new = replace(
-                            commanded,
-                            commands=commands,
-                            supply_pressure_pa=supply_pa,
-                            rest_s=rest_s,
-                            progress=1.0,
-                        )
-                        distinct.setdefault(new, None)
+    distinct = dict.fromkeys(
+        replace(
+            commanded,
+            commands=commands,
+            supply_pressure_pa=supply_pa,
+            rest_s=rest_s,
+            progress=1.0,
+        )
+        for base in measured
+        for commanded in (base, *_against(base))
+        for commands in (commanded.commands, *_pulses(commanded), *_later(commanded))
+        for supply_pa, rest_s in product(supplies, rests)
+    )
     return [
         CampaignStroke(str(Path(folder) / f"design_{number:03d}.csv"), described(c), c)
         for number, c in enumerate(distinct, start=1)
@@ -95,10 +95,7 @@ def _supplies(measured: Sequence[StrokeConditions]) -> list[float]:
 
 
 def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
-    """Yield the stroke against a chamber at supply pressure and is vented as it begins.
-
-    Only where that chamber holds the piston where the stroke begins.
-    """
+    """Yield the stroke against a chamber that holds the piston at supply pressure and is vented as it begins."""
     driving, opposite = CHAMBER_PAIRS[base.kind]
     begins = [when for when, valve, duty in base.commands if valve == driving and duty > 0.0]
     at_rest = base.start_offset_m == 0.0 and not base.charged_before
@@ -108,7 +105,7 @@ def _against(base: StrokeConditions) -> Iterator[StrokeConditions]:
 
 
 def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
-    """Yield the commands with the driving valve open for 20 or 50 ms instead."""
+    """Yield the commands with the driving valve open for 20 or 50 ms, less and more than it takes to close."""
     driving = CHAMBER_PAIRS[base.kind][0]
     driving_commands = [(when, duty) for when, valve, duty in base.commands if valve == driving]
     if not driving_commands or driving_commands[0][1] <= 0.0:
@@ -120,13 +117,9 @@ def _pulses(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], 
         yield tuple(sorted([*others, *pulse]))
 
 
-def _later(
-    base: StrokeConditions, by_s: float = 3.0
-) -> Iterator[tuple[tuple[float, str, float], ...]]:
-    """Yield the commands so much later in the record, if they are at its beginning.
-
-    A clock that drifts has drifted by then.
-    """
+def _later(base: StrokeConditions) -> Iterator[tuple[tuple[float, str, float], ...]]:
+    """Yield the commands 3 s later, if they are at the beginning: a clock that drifts has drifted by then."""
+    by_s = 3.0
     if all(when < by_s for when, _valve, _duty in base.commands):
         yield tuple((when + by_s, valve, duty) for when, valve, duty in base.commands)
 
@@ -139,27 +132,22 @@ def imagined(
 ) -> list[StrokeObservation]:
     """Return strokes as they would be observed, with the channels and the noise of measured ones.
 
-    Left out is what the parameters cannot simulate, and a stroke of less than nine tenths.
+    Those that cannot be simulated, or do not reach nine tenths of a stroke, are left out.
     """
     noise = {c.name: c.noise for stroke in strokes for c in stroke.channels}
-    internal = any(stroke.internal is not None for stroke in strokes)
+    recorded = {*noise, "time_s"}
+    if any(stroke.internal is not None for stroke in strokes):
+        recorded.add("position_internal_m")
     end_s = max(float(stroke.time_s[-1]) for stroke in strokes)
-    stroke_m = {FIXED: parameters.value("fixed.stroke"), LENGTH: parameters.value("length.stroke")}
     observations = []
     for entry in entries:
         last_s = max((when for when, _valve, _duty in entry.conditions.commands), default=0.0)
         time_s = np.arange(round(max(end_s, last_s + TAIL_S) * rate_hz) + 1) / rate_hz
+        section = "fixed" if entry.conditions.system == FIXED else "length"
         with suppress(IntegrationError):
             stroke = simulate(parameters, entry.conditions, time_s)
-            if np.ptp(stroke.position_m) < 0.9 * stroke_m[entry.conditions.system]:
-                continue
-            columns = stroke_columns(stroke)
-            record = Record(Path(entry.file), _recorded(columns, set(noise), internal))
-            observations.append(observe(entry, record, parameters, noise=noise))
+            if np.ptp(stroke.position_m) >= 0.9 * parameters.value(f"{section}.stroke"):
+                columns = {n: v for n, v in stroke_columns(stroke).items() if n in recorded}
+                record = Record(Path(entry.file), columns)
+                observations.append(observe(entry, record, parameters, noise=noise))
     return observations
-
-
-def _recorded(columns: dict[str, Floats], names: set[str], internal: bool) -> dict[str, Floats]:
-    """Return the columns that the recorder has."""
-    others = {"time_s", "position_internal_m"} if internal else {"time_s"}
-    return {name: values for name, values in columns.items() if name in names | others}

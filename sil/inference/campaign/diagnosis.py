@@ -5,7 +5,7 @@ Checked by: tests/unit/sil/inference/test_diagnose.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,8 +28,7 @@ from sil.inference.campaign.split import odd_ones_in, split
 from sil.inference.candidate import Candidate, candidates, term_candidate
 from sil.inference.evidence import misfit
 from sil.inference.fit import FitResult, Fitter, Refusals, Show, no_progress
-from sil.inference.headline import headline, seen_sentence
-from sil.inference.report import Gain, ReportedCause, diagnosis_json
+from sil.inference.report import Gain, ReportedCause, diagnosis_json, headline, seen_sentence
 from sil.inference.screening import DetectableSize, detectable, screen
 from sil.inference.search import Search
 from sil.inference.spread import Spread
@@ -124,9 +123,8 @@ def diagnose(
     try:
         verdict = search.run()
     except IntegrationError as error:
-        raise InputError(
-            f"{campaign.folder}: the nominal model cannot follow this campaign: {error}"
-        ) from None
+        what = "the nominal model cannot follow this campaign"
+        raise InputError(f"{campaign.folder}: {what}: {error}") from None
     judged = search.judged
     # what follows counts in the processes that it runs in
     refusals = Refusals(search.fitter.refusals)
@@ -135,16 +133,15 @@ def diagnose(
     while True:
         (final,) = claimed or [healthy]
         causes = causes_of(search.fitter, verdict, judged, final, workers)
-        fitted = {(cause.id, cause.variant): cause.parameters for cause in causes}
+        tables = {(cause.id, cause.variant): cause.parameters for cause in causes}
         if not verdict.claimed or not any(
-            includes_neutral(item, fitted[item.id, item.variant]) for item in final.candidates
+            includes_neutral(item, tables[item.id, item.variant]) for item in final.candidates
         ):
             break
         judged = [item for item in judged if item is not verdict.leader]
         verdict = decide(judged, model.size)
         claimed = _whole_fits(search.fitter, [verdict.leader] if verdict.claimed else [], 1)
     findings += check_strokes(model, final) + left_out(refusals, search, verdict, campaign.name)
-    unable = ""
     gain = LIMITS.needed_gain(len(strokes)) * len(search.sample) / len(strokes)
     fit, scores = search.healthy, search.scores
     if verdict.claimed:
@@ -154,21 +151,15 @@ def diagnose(
         scores = screen(search.fitter, fit, causes_tried)
     fit = replace(fit, blocks={k: fit.blocks[k] for k in search.sample})
     sizes = detectable(search.fitter, fit, scores, gain, workers)
-    if verdict.kind == "consistent":
-        unable = _unable(sizes, search)
+    unable = _unable(sizes, search) if verdict.kind == "consistent" else ""
     if unable:
         verdict = replace(verdict, kind=kind_of(Conclusion({}, undecidable=unable)))
         findings.insert(0, Finding(campaign.name, "all", unable))
-    first_variants = {item.id: item for item in reversed(search.candidates)}.values()
+    hidden: list[Candidate] = []
+    if plan or unable:  # the first variant of each cause
+        hidden = list({item.id: item for item in reversed(search.candidates)}.values())[::-1]
     following = next_experiment(
-        model,
-        parameters,
-        campaign,
-        verdict,
-        judged,
-        list(first_variants)[::-1] if plan or unable else [],
-        confirm=plan,
-        workers=workers,
+        model, parameters, campaign, verdict, judged, hidden, confirm=plan, workers=workers
     )
     return Diagnosis(
         campaign,
@@ -194,8 +185,7 @@ def left_out(
 ) -> list[Finding]:
     """Return what could not be simulated of the leading causes, and what was not judged therefore.
 
-    Not judged is a cause of which no value was, and a better explanation than the leader that was
-    given up on the held-out strokes.
+    That is a cause without any value, and a better explanation that was given up on held-out strokes.
     """
     done = {c.id for fit in [*search.first, *search.fits.values()] for c in fit.candidates}
     scored = {score.candidate.id for score in search.scores}
@@ -216,13 +206,13 @@ def left_out(
 def _unable(sizes: Sequence[DetectableSize], search: Search) -> str:
     """Return why nothing can be concluded from a campaign in which nothing is found, or nothing."""
     causes = {item.id for item in search.candidates}
-    shown = [item for item in sizes if item.typical_sizes < 1.0]
-    if search.scores and len(shown) < LIMITS.min_noticeable_share * len(causes):
-        return (
-            f"{len(shown)} of {len(causes)} causes would be noticed at their typical size: more "
-            "strokes, gauges, a higher sampling rate or less noise would help"
-        )
-    return ""
+    noticed = sum(item.typical_sizes < 1.0 for item in sizes)
+    if not search.scores or noticed >= LIMITS.min_noticeable_share * len(causes):
+        return ""
+    return (
+        f"{noticed} of {len(causes)} causes would be noticed at their typical size: more strokes, "
+        "gauges, a higher sampling rate or less noise would help"
+    )
 
 
 def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -236,7 +226,7 @@ def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
     except IntegrationError:  # which the search reports
         return training, held_out
     judged = [] if misfit(model, healthy).beyond > 0.0 else judge(fitter, [healthy], held_out)
-    if not judged or judged[0].held_out_fit is None or judged[0].misfit.beyond == 0.0:
+    if not judged or judged[0].misfit.beyond == 0.0:
         return training, held_out
     blocks = judged[0].both.blocks
     squares = {k: float(np.mean(block.residual**2)) for k, block in blocks.items()}
@@ -245,22 +235,21 @@ def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 def available(strokes: Sequence[StrokeObservation]) -> list[Candidate]:
     """Candidates that these strokes can show."""
-    has: dict[Need, bool] = {
-        "damper": any(stroke.conditions.load == "damper" for stroke in strokes),
-        "internal position": any(stroke.internal is not None for stroke in strokes),
-        "length stroke": any(stroke.conditions.system == LENGTH for stroke in strokes),
-        "process exponents": any(stroke.setup.p.air_kappa == 0.0 for stroke in strokes),
+    has: dict[Need, Callable[[StrokeObservation], bool]] = {
+        "damper": lambda stroke: stroke.conditions.load == "damper",
+        "internal position": lambda stroke: stroke.internal is not None,
+        "length stroke": lambda stroke: stroke.conditions.system == LENGTH,
+        "process exponents": lambda stroke: stroke.setup.p.air_kappa == 0.0,
     }
-    return candidates({need for need, present in has.items() if present})
+    return candidates({need for need, shows in has.items() if any(map(shows, strokes))})
 
 
 def _whole_fits(fitter: Fitter, items: Sequence[Judged], workers: int) -> list[FitResult]:
     """Return hypotheses fitted to all strokes, from where the training left them."""
 
     def whole(item: Judged) -> FitResult:
-        start, scatter = item.training.shared, item.both.stroke
-        return fitter.fit(
-            item.training.candidates, start=start, scatter=scatter, iterations=8, fine=True
-        ).light()
+        fit, scatter = item.training, item.both.stroke
+        options: dict[str, Any] = {"start": fit.shared, "scatter": scatter, "iterations": 8}
+        return fitter.fit(fit.candidates, **options, fine=True).light()
 
     return spread_out(whole, items, workers)

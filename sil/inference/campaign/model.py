@@ -49,10 +49,8 @@ SIMULATED = ("friction", "rise", "fall", "supply", "flow_in", "flow_out", "volum
 class CampaignModel(Problem):
     """The strokes of a campaign and the healthy spread: what any hypothesis is compared with.
 
-    measured: by stroke, all compared numbers [n] as measured, standardised; offset_columns: by
-    stroke, what one standard deviation of each sensor's offset adds to them [n, offsets].
-    Everywhere, shared [shared] and scatter [scatter] are in prior standard deviations, the
-    hypothesis' own parameters in typical sizes, and compared numbers have no unit.
+    measured: by stroke, all compared numbers [n] as measured, standardised; offset_columns: by stroke,
+    what one standard deviation of each sensor's offset adds to them [n, offsets].
     """
 
     def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
@@ -87,10 +85,9 @@ class CampaignModel(Problem):
         return setup
 
     def predict(self, k: int, setup: Setup, rounded: bool = False) -> Floats:
-        """Return the compared numbers [n] of stroke k, without sensor offsets.
+        """Return the compared numbers [n] of stroke k, without sensor offsets; rounded: as the timer does at rest.
 
-        rounded: with the timer's rounding at rest, which has no derivative. Raises IntegrationError
-        where the motion cannot be continued.
+        Raises IntegrationError where the motion cannot be continued.
         """
         return self.numbers_of(k, setup, self.strokes[k].predictor.states(setup), rounded)
 
@@ -98,17 +95,13 @@ class CampaignModel(Problem):
         """Return the compared numbers [n] of stroke k in the states [instants, states], SI units."""
         stroke = self.strokes[k]
         out = np.empty(stroke.total)
-        begin = 0
-        for channel in stroke.channels:
-            values = stroke.predicted(channel, states, setup)
-            end = begin + len(values)
-            np.divide(values, channel.sd, out=out[begin:end])
-            begin = end
+        for channel, part in channel_parts(stroke, out):
+            np.divide(stroke.predicted(channel, states, setup), channel.sd, out=part)
         if stroke.internal is not None:
             reported = internal_prediction(
                 stroke.internal, stroke.time_s, states[:, 0], setup, rounded
             )
-            np.divide(reported, stroke.internal.sd_m, out=out[begin:])
+            np.divide(reported, stroke.internal.sd_m, out=out[stroke.size :])
         return out
 
     def measure(self, k: int, numbers: Floats) -> None:
@@ -118,12 +111,9 @@ class CampaignModel(Problem):
 
     def _offsets_of(self, stroke: StrokeObservation) -> Floats:
         columns = np.zeros((stroke.total, len(self.offsets)))
-        begin = 0
-        for channel in stroke.channels:
-            n = len(channel.measured)
+        for channel, part in channel_parts(stroke, columns):
             index = self.offsets.index(stroke.offset_of(channel))
-            columns[begin : begin + n, index] = self.spread.offset[channel.kind] / channel.sd
-            begin += n
+            part[:, index] = self.spread.offset[channel.kind] / channel.sd
         return columns
 
     def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
@@ -137,10 +127,9 @@ class CampaignModel(Problem):
         return total
 
     def effect_step(self, tolerance: str, parameter: EffectParameter) -> float:
-        """Step of an effect parameter's difference, in typical sizes.
+        """Step of an effect parameter's difference, in typical sizes; that of the tolerance that does the same, if any.
 
-        Where a tolerance does the same to the plant, the same step: at stops and breakaways the
-        prediction has kinks, and unlike steps would make the two look distinguishable.
+        At stops and breakaways the prediction has kinks, where unlike steps would seem distinguishable.
         """
         if not tolerance:
             return 0.005  # small against the curvature, large against rounding
@@ -162,9 +151,8 @@ class CampaignModel(Problem):
     def parts(self, k: int, residual: Floats) -> Iterator[ChannelPart]:
         """Yield the parts of a residual [n], no unit, by channel, the control unit's position last.
 
-        Position and reported position are standardised conservatively (a resting wiper says one
-        thing, not hundreds; a reported value depends on the recorder's step in time), so their floors
-        are lower: by the weights of the samples, and by what clean simulated campaigns show.
+        Positions are standardised conservatively (a resting wiper says one thing, not hundreds), so their
+        floors are lower: by the weights of the samples, and by what clean simulated campaigns show.
         """
         stroke = self.strokes[k]
         for channel, part in channel_parts(stroke, residual):
@@ -247,45 +235,40 @@ class CampaignModel(Problem):
             by_name = zip(self.unit, self.spread.root, strict=True)
             needed = {*self.scatter, *(name for name, row in by_name if row[free].any())}
             steps = {n: DIFFERENCE * self.spread.size(n) for n in self.simulated if n in needed}
-        effect_parameters = [(item.effect, p) for item in candidates for p in item.parameters]
         delays: dict[str, tuple[str, float]] = {}
-        wanted = zip(layout.effects, effect_parameters, scaled, strict=True)
-        for name, (effect, parameter), value in (
-            item for j, item in enumerate(wanted, healthy) if j not in frozen
-        ):
+        effect_parameters = [(item.effect, p) for item in candidates for p in item.parameters]
+        own = enumerate(zip(layout.effects, effect_parameters, scaled, strict=True), healthy)
+        for j, (name, (effect, parameter), value) in own:
+            if j in frozen:
+                continue
             step = self.effect_step(effect.tolerance, parameter)
             if scaled_of(parameter, parameter.high) - value < step:
                 step = -step
             if effect.switching and not own_only:
-                later_s = _delay_s(moved(name, step), effect.switching)
-                by_step = (later_s - _delay_s(here[0], effect.switching)) / step
+                at_s = [_delay_ns(s, effect.switching) / 1e9 for s in (here[0], moved(name, step))]
+                by_step = (at_s[1] - at_s[0]) / step
                 delays[name] = effect.switching, by_step
             else:
                 steps[name] = step
         base, columns = self.derivatives(k, here, moved, steps, central)
         by_shared = np.zeros((len(base), len(layout.names)))
+        by_scatter = np.zeros((len(base), len(self.scatter)))
         if reuse is not None:
             by_shared[:, :tolerances] = reuse.shared[:, :tolerances]
             by_scatter = reuse.scatter
-        else:
-            by_scatter = np.zeros((len(base), len(self.scatter)))
-            if not own_only:
-                rows = [j for j, name in enumerate(self.unit) if name in columns]
-                by_unit = np.array([columns[self.unit[j]] for j in rows])
-                by_shared[:, free] = by_unit.T @ self.spread.root[np.ix_(rows, free)]
-                for j, name in enumerate(self.scatter):
-                    by_scatter[:, j] = columns[name] * self.spread.stroke[name]
+        elif not own_only:
+            rows = [j for j, name in enumerate(self.unit) if name in columns]
+            by_unit = np.array([columns[self.unit[j]] for j in rows])
+            by_shared[:, free] = by_unit.T @ self.spread.root[np.ix_(rows, free)]
+            for j, name in enumerate(self.scatter):
+                by_scatter[:, j] = columns[name] * self.spread.stroke[name]
         by_shared[:, tolerances:healthy] = self.offset_columns[k]
-        by_second = (
-            columns
-            if reuse is None
-            else {
-                name: reuse.scatter[:, j] / self.spread.stroke[name]
-                for j, name in enumerate(self.scatter)
-            }
-        )
         for name, (instant, by_step) in delays.items():
-            columns[name] = by_second[instant] * by_step
+            if reuse is None:
+                by_second = columns[instant]
+            else:
+                by_second = by_scatter[:, self.scatter.index(instant)] / self.spread.stroke[instant]
+            columns[name] = by_second * by_step
         for j, name in enumerate(layout.effects, healthy):
             if name in columns:
                 by_shared[:, j] = columns[name]
@@ -301,8 +284,7 @@ class CampaignModel(Problem):
     ) -> tuple[Floats, dict[str, Floats]]:
         """Return the smooth prediction [n] of stroke k and its derivatives [n] by the names in `steps`.
 
-        here: setup and states; moved(name, h): the setup with one quantity moved by h; steps: how
-        far for a difference.
+        here: setup and states; moved(name, h): the setup with one quantity moved; steps: for differences.
         """
         base = self.numbers_of(k, *here, rounded=False)
         return base, {
@@ -313,10 +295,7 @@ class CampaignModel(Problem):
     def difference(
         self, k: int, base: Floats, moved: Callable[[float], Setup], step: float, central: bool
     ) -> Floats:
-        """Difference quotient [n]; one-sided, or with a smaller step, where the motion breaks off.
-
-        Raises IntegrationError if no step can be simulated.
-        """
+        """Difference quotient [n], one-sided or with a smaller step where needed; raises IntegrationError if none can be simulated."""
         if central:
             # wider, against the rounding of the integration: the error is of second order here
             wide = 4.0 * step
@@ -339,10 +318,7 @@ def _standardised(stroke: StrokeObservation) -> Floats:
 def channel_parts(
     stroke: StrokeObservation, residual: Floats
 ) -> Iterator[tuple[ObservedChannel, Floats]]:
-    """Yield the channels of a stroke with their part [n] of its residual, in standard deviations.
-
-    The control unit's position, which is after them, is left out.
-    """
+    """Yield the channels of a stroke with their part [n] of its numbers; the control unit's position, after them, is left out."""
     begin = 0
     for channel in stroke.channels:
         end = begin + len(channel.measured)
@@ -350,16 +326,15 @@ def channel_parts(
         begin = end
 
 
-def _delay_s(setup: Setup, instant: str) -> float:
-    timing = setup.timing
-    return (timing.rise_ns if instant == "rise" else timing.fall_ns) / 1e9
-
-
-DELAY_ARGUMENTS = {"rise": "rise_ns", "fall": "fall_ns"}
+def _delay_ns(setup: Setup, instant: str) -> int:
+    return setup.timing.rise_ns if instant == "rise" else setup.timing.fall_ns
 
 
 class TangentModel(CampaignModel):
-    """The campaign's model for strokes that are compared by external records alone."""
+    """The campaign's model for strokes compared by external records alone, with derivatives along their own steps.
+
+    `Predictor.derivatives` moves every quantity by a millionth in one call, events included.
+    """
 
     def derivatives(
         self,
@@ -373,17 +348,15 @@ class TangentModel(CampaignModel):
         setup = here[0]
         sizes, setups = [], []
         for name, step in steps.items():
-            h = 20e-9 if name in DELAY_ARGUMENTS else float(np.copysign(MOVE, step))
+            is_delay = name in ("rise", "fall")
+            h = 20e-9 if is_delay else float(np.copysign(MOVE, step))
             setups.append(moved(name, h))
-            if name in DELAY_ARGUMENTS:
-                before, after = (
-                    getattr(s.timing, DELAY_ARGUMENTS[name]) for s in (setup, setups[-1])
-                )
-                h = 1e-9 * (after - before)
+            if is_delay:
+                h = 1e-9 * (_delay_ns(setups[-1], name) - _delay_ns(setup, name))
             sizes.append(h)
         predictor = self.strokes[k].predictor
         if setup.p.air_kappa == 0.0:
-            states, found = predictor.derivatives(setup, setups, sizes)
+            states, all_rates = predictor.derivatives(setup, setups, sizes)
         else:
             # chambers that are full make a cylinder stiff, and steps at the limit of stability magnify a
             # neighbour's distance, never the opposite: the least of several sequences of steps is right
@@ -391,12 +364,12 @@ class TangentModel(CampaignModel):
                 predictor.derivatives(setup, setups, sizes, tolerance=t) for t in (1e-8, 3e-9, 1e-9)
             ]
             states = others[0][0]
-            found = [
-                _least(rates) for rates in zip(*(rates for _states, rates in others), strict=True)
-            ]
+            all_rates = list(map(_least, zip(*(rates for _states, rates in others), strict=True)))
         base = self.numbers_of(k, setup, states, False)
         columns: dict[str, Floats] = {}
-        for (name, step), other, h, rates in zip(steps.items(), setups, sizes, found, strict=True):
+        for (name, step), other, h, rates in zip(
+            steps.items(), setups, sizes, all_rates, strict=True
+        ):
             if rates is None or h == 0.0:
                 columns[name] = self.difference(k, base, partial(moved, name), step, central)
             else:
@@ -405,7 +378,7 @@ class TangentModel(CampaignModel):
 
 
 def _least(rates: Sequence[Floats | None]) -> Floats | None:
-    """Return the derivative [n, states] in which each state, in its own unit, changes least in all; None without any."""
+    """Return the derivative [n, states] in which each state changes least in all; None without any."""
     some = [one for one in rates if one is not None]
     if not some:
         return None
@@ -414,9 +387,6 @@ def _least(rates: Sequence[Floats | None]) -> Floats | None:
 
 
 def model_of(strokes: Sequence[StrokeObservation], spread: Spread) -> CampaignModel:
-    """Return the model of a campaign: along the strokes' own steps for a cylinder.
-
-    At its stops, differences would feign precision.
-    """
+    """Return the model of a campaign: tangents for a cylinder, at whose stops differences would feign precision."""
     is_cylinder = all(stroke.setup.p.air_kappa > 0.0 for stroke in strokes)
     return (TangentModel if is_cylinder else CampaignModel)(strokes, spread)

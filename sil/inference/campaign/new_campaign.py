@@ -108,10 +108,7 @@ def draft(
 
 
 def _read(files: Sequence[Path]) -> tuple[list[tuple[dict[str, Floats], str, dict[str, str]]], str]:
-    """Read files with the same columns; return what asks for the decimal sign if none shows it.
-
-    Raises InputError for files whose columns differ.
-    """
+    """Read files with the same columns, or raise InputError; return what asks for the decimal sign if none shows it."""
     undecided = ""
     tables = []
     for file in files:

@@ -2,17 +2,17 @@
 
 What is open are questions, each a few hypotheses with probabilities: the rivals of a verdict; the
 named cause and the next best explanation; or, where nothing is claimed, a healthy unit and one with
-a cause that these strokes would not have shown.  A stroke is worth what it is expected to add to
+a cause that these strokes would not have shown. A stroke is worth what it is expected to add to
 the log evidence of a hypothesis that is true over another one,
 
     d = 1/2 (r' W r - g' M^-1 g),  W = (1 + B B')^-1,  g = J' W r,  M = P + J' W J,
 
 r being the difference of the two predictions once the false one's own scatter of this stroke is
 fitted (its prior counts in r'r), B the derivatives by that scatter, J those by all else that it may
-move to follow (tolerances, offsets, its own parameters), and P what the strokes measured so far say
-of those.  Sums over strokes of [J r]'W[J r] give d of them together.  From d follows the expected information on a question, by the estimate for mixtures of
-Kolchinsky and Tracey (Entropy 19, 2017, 361), and strokes are added one by one where it grows most.
-The idea to place strokes where rivals differ is Box and Hill's (Technometrics 9, 1967, 57-71).
+move to follow, and P what the strokes measured so far say of those. Sums over strokes of
+[J r]'W[J r] give d of them together. From d follows the expected information on a question, by the
+estimate for mixtures of Kolchinsky and Tracey (Entropy 19, 2017, 361); strokes are added one by one
+where it grows most, an idea of Box and Hill (Technometrics 9, 1967, 57-71).
 Assumed: predictions are linear within what is still uncertain of a unit, and a true hypothesis has
 its fitted parameters.
 Checked by: tests/unit/sil/inference/campaign/test_next_experiment.py
@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
@@ -117,53 +118,52 @@ class NextExperiment:
     @property
     def why(self) -> str:
         """One sentence: what the strokes are for and what is expected of them."""
-        count = counted(len(self.strokes), "stroke")
+        separated = sum(d >= self.enough for d in self.together.values())
         if self.separated:
-            return f"{self.purpose}: {count}, expected to be enough"
-        if len(self.together) > 2:
-            separated = sum(d >= self.enough for d in self.together.values())
-            return f"{self.purpose}: {count}, expected to show {separated} of {len(self.together)}"
-        one, two = min(self.together, key=lambda pair: self.together[pair])
-        share = self.together[one, two] / self.enough
-        return f"{self.purpose}: {count}, {share:.0%} of what tells {one} from {two}"
+            expected = "expected to be enough"
+        elif len(self.together) > 2:
+            expected = f"expected to show {separated} of {len(self.together)}"
+        else:
+            one, two = min(self.together, key=lambda pair: self.together[pair])
+            share = self.together[one, two] / self.enough
+            expected = f"{share:.0%} of what tells {one} from {two}"
+        return f"{self.purpose}: {counted(len(self.strokes), 'stroke')}, {expected}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the object in diagnosis.json: the first stroke's conditions, then all strokes."""
         first = self.strokes[0]
+        c = first.entry.conditions
+        conditions = {
+            "kind": c.kind,
+            "supply_pressure_pa": c.supply_pressure_pa,
+            "load": c.load,
+            "rest_s": c.rest_s,
+            "charged_before": list(c.charged_before),
+            "commands": [list(item) for item in c.commands],
+            "repeats": next(iter(self))[0],
+        }
+        strokes = [
+            {
+                "file": item.entry.file,
+                "label": item.entry.label,
+                "true": item.pair[0],
+                "false": item.pair[1],
+                "expected_distance": item.distance,
+            }
+            for item in self.strokes
+        ]
         return {
-            "conditions": {**conditions_of(first.entry), "repeats": next(iter(self))[0]},
+            "conditions": conditions,
             "separates": list(self.separates),
             "expected_distance": first.distance,
             "why": self.why,
             "enough": self.enough,
-            "strokes": [
-                {
-                    "file": item.entry.file,
-                    "label": item.entry.label,
-                    "true": item.pair[0],
-                    "false": item.pair[1],
-                    "expected_distance": item.distance,
-                }
-                for item in self.strokes
-            ],
+            "strokes": strokes,
             "together": [
                 {"true": one, "false": two, "expected_distance": d}
                 for (one, two), d in self.together.items()
             ],
         }
-
-
-def conditions_of(entry: CampaignStroke) -> dict[str, Any]:
-    """Return a stroke's conditions as campaign.toml has them."""
-    c = entry.conditions
-    return {
-        "kind": c.kind,
-        "supply_pressure_pa": c.supply_pressure_pa,
-        "load": c.load,
-        "rest_s": c.rest_s,
-        "charged_before": list(c.charged_before),
-        "commands": [list(item) for item in c.commands],
-    }
 
 
 def next_experiment(
@@ -182,13 +182,11 @@ def next_experiment(
     causes: if nothing is claimed, those of which some may be hidden; confirm: ask also whether a
     cause without rivals is the next best explanation after all.
     """
-    hypotheses: list[HypothesisInformation]
     if verdict.rivals or (verdict.claimed and confirm):
-        hypotheses, question = _between(verdict, judged)
-        questions = [question] if question else []
-        purpose = "to separate " if verdict.rivals else "to check "
+        hypotheses, questions = _between(verdict, judged)
         first, *others = (item.name for item in hypotheses)
-        purpose += f"{first} from {' and '.join(others)}"
+        what = "separate" if verdict.rivals else "check"
+        purpose = f"to {what} {first} from {' and '.join(others)}"
     elif not verdict.claimed and causes:
         healthy = HypothesisInformation.of(verdict.healthy.training)
         enough = LIMITS.needed_gain(len(model.strokes) + MOST)
@@ -197,8 +195,7 @@ def next_experiment(
             hidden = hidden or _hidden(model, healthy, causes, size, enough, workers)
         hypotheses = [healthy, *hidden]
         questions = [_whether(k, enough) for k in range(1, len(hypotheses))]
-        count = len(hidden)
-        purpose = f"to show {counted(count, 'cause')} that would not have been noticed"
+        purpose = f"to show {counted(len(hidden), 'cause')} that would not have been noticed"
     else:
         return None
     if not questions:
@@ -211,7 +208,6 @@ def next_experiment(
     picked, alone, together = _chosen(wider, len(model.strokes), moved, questions, workers)
     if not picked:
         return None
-
     proposed = []
     for number, k in enumerate(picked, start=1):
         conditions = wider.strokes[k].conditions
@@ -219,16 +215,13 @@ def next_experiment(
         best = max(alone[k], key=lambda pair: alone[k][pair])
         pair = moved[best[0]].name, moved[best[1]].name
         proposed.append(Proposed(entry, pair, alone[k][best]))
+    of_pair = [item for item in moved if item.name in proposed[0].pair]
     return NextExperiment(
         tuple(proposed),
         tuple(item.name for item in moved),
         {(moved[i].name, moved[j].name): d for (i, j), d in together.items()},
         wider.strokes[picked[0]],
-        {
-            item.name: _predicted(wider, picked[0], item)
-            for item in moved
-            if item.name in proposed[0].pair
-        },
+        {item.name: _predicted(wider, picked[0], item) for item in of_pair},
         questions[0].enough,
         purpose,
     )
@@ -236,8 +229,8 @@ def next_experiment(
 
 def _between(
     verdict: Verdict[Judged], judged: Sequence[Judged]
-) -> tuple[list[HypothesisInformation], Question | None]:
-    """Return the leading explanations, and the question which of them is true."""
+) -> tuple[list[HypothesisInformation], list[Question]]:
+    """Return the leading explanations, and the question which of them is true, if there are two."""
     leader = verdict.leader
     asked = {name for group in verdict.rivals for name in group}
     explanations = {leader.name: leader}
@@ -251,17 +244,16 @@ def _between(
             is_open = len(explanations) < 2
         if is_open:
             explanations.setdefault(item.name, item)
-    hypotheses = [HypothesisInformation.of(item.training) for item in explanations.values()]
-    if len(explanations) < 2:
-        return hypotheses, None
-    weights = np.array(
-        [item.probability if verdict.rivals else 1.0 for item in explanations.values()]
-    )
-    numbers = tuple(range(len(explanations)))
-    causes = [set(item.ids) for item in explanations.values()]
+    items = list(explanations.values())
+    hypotheses = [HypothesisInformation.of(item.training) for item in items]
+    if len(items) < 2:
+        return hypotheses, []
+    weights = np.array([item.probability if verdict.rivals else 1.0 for item in items])
+    numbers = tuple(range(len(items)))
+    causes = [set(item.ids) for item in items]
     # forms of one cause need not be told apart
     pairs = tuple((i, j) for i, j in permutations(numbers, 2) if causes[i] != causes[j])
-    return hypotheses, Question(numbers, weights / weights.sum(), pairs)
+    return hypotheses, [Question(numbers, weights / weights.sum(), pairs)]
 
 
 def _whether(cause: int, enough: float) -> Question:
@@ -296,18 +288,16 @@ def healthy_with(
     healthy: HypothesisInformation, candidate: Candidate, size: float
 ) -> HypothesisInformation:
     """Return the healthy unit with a cause, at the start of its fits that is next to `size`, in typical ones."""
-
-    def scaled(start: tuple[float, ...]) -> Floats:
-        pairs = zip(candidate.parameters, start, strict=True)
-        return np.array([scaled_of(parameter, value) for parameter, value in pairs])
+    main = candidate.parameters[0]
 
     def ratio(start: tuple[float, ...]) -> float:
-        return float(abs(np.log(max(abs(scaled(start)[0]), 1e-9) / size)))
+        return float(abs(np.log(max(abs(scaled_of(main, start[0])), 1e-9) / size)))
 
     start = min(candidate.starts, key=ratio)
-    main = candidate.parameters[0]
+    pairs = zip(candidate.parameters, start, strict=True)
+    own = np.array([scaled_of(parameter, value) for parameter, value in pairs])
     name = f"{candidate.name} ({main.name} {start[0]:.3g} {main.unit})".replace(" -)", ")")
-    shared = np.concatenate([healthy.shared, scaled(start)])
+    shared = np.concatenate([healthy.shared, own])
     return HypothesisInformation(name, (candidate,), shared, healthy.normal)
 
 
@@ -334,10 +324,7 @@ def distances_of(sums: Sums) -> Distances:
 
 
 def information(question: Question, distances: Distances) -> float:
-    """Return the expected information on a question, 0 to the entropy of its probabilities.
-
-    distances: log evidence by (true, false); the other way round the same where it is missing.
-    """
+    """Return the expected information on a question, 0 to the entropy of its probabilities, from log evidence by (true, false)."""
     scale = 3.0 / question.enough  # if the equations were exact, 3 would be enough
     total = 0.0
     for i, p in zip(question.hypotheses, question.probabilities, strict=True):
@@ -355,14 +342,11 @@ def separation_by(
     hypotheses: Sequence[HypothesisInformation],
     questions: Sequence[Question],
 ) -> Sums | None:
-    """Return what stroke k would tell; None if a hypothesis cannot simulate it.
-
-    The stroke's own scatter follows by a fit, since edges that move in time are not linear.
-    """
+    """Return what stroke k would tell, its own scatter fitted; None if a hypothesis cannot simulate it."""
     model = fitter.model
     assert isinstance(model, CampaignModel)
     sums: Sums = {}
-    try:
+    with suppress(IntegrationError):
         for i, j in dict.fromkeys(pair for question in questions for pair in question.pairs):
             false = hypotheses[j]
             model.measure(k, _predicted(model, k, hypotheses[i]))
@@ -379,9 +363,8 @@ def separation_by(
             scatter = np.vstack([block.scatter, np.eye(len(spread))])
             cross = scatter.T @ rows
             sums[i, j] = rows.T @ rows - cross.T @ np.linalg.solve(scatter.T @ scatter, cross)
-    except IntegrationError:
-        return None
-    return sums
+        return sums
+    return None
 
 
 def _predicted(model: CampaignModel, k: int, item: HypothesisInformation) -> Floats:
@@ -396,13 +379,11 @@ def _moved(
     model: CampaignModel, old: CampaignModel, item: HypothesisInformation
 ) -> HypothesisInformation:
     """Return a hypothesis among the parameters of another model, new offsets at their prior."""
-    count = len(model.layout(item.candidates).effects)
     names = [*model.unit, *model.offsets]
-    size = len(names) + count
+    size = len(model.layout(item.candidates).names)
     at = [names.index(name) for name in (*old.unit, *old.offsets)] + list(range(len(names), size))
-    shared = np.zeros(size)
+    shared, normal = np.zeros(size), np.eye(size)
     shared[at] = item.shared
-    normal = np.eye(size)
     rows = at[: len(item.normal)]
     normal[np.ix_(rows, rows)] = item.normal
     return HypothesisInformation(item.name, item.candidates, shared, normal)
@@ -415,10 +396,7 @@ def _chosen(
     questions: Sequence[Question],
     workers: int,
 ) -> tuple[list[int], dict[int, Distances], Distances]:
-    """Return the strokes chosen one by one, alike ones together, what each tells alone, and together.
-
-    The first `measured` strokes of the model cannot be chosen.
-    """
+    """Return the strokes chosen, alike ones together, but not of the first `measured`; what each tells alone, and together."""
     fitter = Fitter(model)
     numbers = range(measured, len(model.strokes))
     separations = spread_out(

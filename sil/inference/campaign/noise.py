@@ -22,12 +22,11 @@ AGREES = {"position": 0.45, "pressure": 0.03, "oil": 0.05}
 
 
 def noise_of(values: Floats, time_s: Floats | None = None) -> float:
-    """Return the standard deviation of the noise of a sample of values [n].
+    """Return the standard deviation of the noise of values [n] at time_s [n], at least their rounding.
 
-    By sixth differences, divided by the instants time_s [n] where these are uneven, which motion hardly
-    changes, and by the quiet parts of the upper half of the spectrum; not less than the rounding of
-    the values. The quietest part alone would be too quiet by chance, so every part counts that is as
-    quiet as the second quietest, within what chance allows.
+    By sixth differences, which motion hardly changes, and by the quiet parts of the upper half of the
+    spectrum. The quietest part alone would be too quiet by chance: all count that are as quiet as the
+    second quietest, within what chance allows.
     """
     instants = np.arange(float(len(values))) if time_s is None else time_s
     apart = np.lib.stride_tricks.sliding_window_view(instants, DIFFERENCED) / np.ptp(instants)
@@ -64,8 +63,8 @@ def estimated_noise(
 ) -> dict[str, Noise]:
     """Return the noise of each channel that differs from the nominal noise of its kind.
 
-    By third differences of measured - predicted where the prediction itself is smooth. Where few
-    samples leave a channel's own estimate uncertain, that of all channels of its kind counts.
+    By third differences of measured - predicted where the prediction is smooth; where few samples leave
+    that uncertain, that of all channels of its kind counts.
     """
     differences: dict[str, list[Floats]] = {}
     steps: dict[str, float] = {}

@@ -29,10 +29,7 @@ INTERNAL_SD_M = 3e-5
 
 @dataclass(frozen=True)
 class InternalSamples:
-    """Published positions [m], when they appeared on the recorder's clock [s], mid of the step.
-
-    sd_m: expected scatter; a slow recorder's step in time counts by how fast the position changes.
-    """
+    """Published positions [m], when they appeared on the recorder's clock [s], mid of the step, and their expected scatter."""
 
     published_s: Floats
     values_m: Floats
@@ -40,10 +37,7 @@ class InternalSamples:
 
 
 def internal_samples(time_s: Floats, values: Floats) -> InternalSamples | None:
-    """Return the publications in values [n] in m at time_s [n], by their steps.
-
-    None if it hardly moves, or is recorded in steps of more than half their period (5 ms).
-    """
+    """Return the publications in values [n] in m at time_s [n]; None without motion, or recorded slower than every 5 ms."""
     if float(time_s[1] - time_s[0]) > 0.005:
         return None
     edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
@@ -66,8 +60,7 @@ def internal_prediction(
 ) -> Floats:
     """Return the published positions of a stroke under a setup, at the publications observed [m].
 
-    position_m: the true one at time_s; rounded: pulses at rest are counted in timer ticks, as they
-    are (at rest the rounding is the same error every time); without, the result is smooth.
+    position_m: the true one at time_s; rounded: as the timer counts pulses at rest, without: smooth.
     """
     chain = setup.chain
     period = chain.period_s
@@ -116,10 +109,7 @@ FINE_S = 2e-4
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a channel: standard deviation, step of a wire or converter, and whether it was estimated.
-
-    uncertainty: of the standard deviation, relative.
-    """
+    """Noise of a channel: standard deviation, its relative uncertainty if it was estimated, step of a wire or converter."""
 
     sd: float
     step: float
@@ -172,10 +162,7 @@ class StrokeObservation:
         return self.size + (0 if self.internal is None else len(self.internal.values_m))
 
     def predicted(self, channel: ObservedChannel, states: Floats, setup: Setup) -> Floats:
-        """Return what a channel shows of the states [instants, states], [n] in SI units.
-
-        The pressure of the damper's chamber two is that of the model in force.
-        """
+        """Return what a channel shows of the states [instants, states], [n] in SI units, by the damper's model in force."""
         if channel.kind != "oil" or self.conditions.damper_model != "incompressible":
             return np.asarray(states[channel.rows, channel.state])
         out = np.zeros(len(states))
@@ -198,8 +185,7 @@ def observe(
 
     clipped: columns whose largest value is no measurement; dead: columns to leave out; shift_s: by
     which the record runs late; noise: of each column, the parameters' own by default. What a calibration
-    left unexplained adds to the noise, and as its neighbours say the same thing it counts once for all
-    samples within its correlation time.
+    left unexplained adds to it, once for all samples within its correlation time.
     """
     conditions = entry.conditions
     setup = make_setup(parameters, conditions)
@@ -300,10 +286,7 @@ def _thinned(
 
 
 def _run_lengths(values: Floats, step: float) -> Floats:
-    """Return the length of the run of near-equal neighbours that each sample belongs to.
-
-    step: of a wire or a converter.
-    """
+    """Return the length of the run of neighbours within a step of wire or converter that each sample belongs to."""
     close = np.abs(np.diff(values)) < 1.4 * step
     same = np.concatenate([[False], close])
     start = np.flatnonzero(~same)

@@ -59,12 +59,11 @@ def write_next(result: Diagnosis, folder: Path) -> str | None:
 
 
 def write_report(
-    result: Diagnosis, folder: Path, arguments: str, model: str, workers: int = 1
+    result: Diagnosis, folder: Path, arguments: str, workers: int = 1
 ) -> dict[str, Any]:
-    """Write report.html and its figures for a diagnosis; arguments: of the command that makes it again.
+    """Write report.html and its figures; return the page's numbers beyond those of `Diagnosis.as_json`.
 
-    An extended model that was claimed is in the folder already. Returns the page's numbers beyond
-    those of `Diagnosis.as_json`.
+    arguments: of the command that makes it again. An extended model is in the folder already.
     """
     stamps = dict.fromkeys(loaded_effects().values())
     files = "".join(f" --effects {stamp.partition(MARK)[0]}" for stamp in stamps)
@@ -80,61 +79,47 @@ def write_report(
         figures["next"] = next_figure(result.next_experiment)
     where = "held out" if result.held_out else "measured"
     images = spread_out(lambda name: save(figures[name], folder, name), list(figures), workers)
-    pictures = {}
-    for name, image in zip(figures, images, strict=True):
-        alt, caption = PICTURES[name]
-        pictures[name] = Picture(image, alt, caption.format(where=where))
+    pictures = {
+        name: Picture(image, PICTURES[name][0], PICTURES[name][1].format(where=where))
+        for name, image in zip(figures, images, strict=True)
+    }
     kind = result.verdict.kind
-    head = Head(
-        command="diagnose",
-        name=result.campaign.name,
-        verdict=kind,
-        good=kind == "consistent",
-        tiles=_tiles(result),
-        again=f"opc4 diagnose {arguments}{files}",
-    )
+    again = f"opc4 diagnose {arguments}{files}"
+    counts = {i.name: result.refusals.get(i.name, Tried(i.ids)) for i in result.judged}
     page = render(
         "diagnosis.html",
-        head,
+        Head("diagnose", result.campaign.name, kind, kind == "consistent", _tiles(result), again),
         plots(strokes),
         result=result,
         causes=[(c, _parameter_lines(c), _look_alikes(c, result)) for c in result.causes],
         pictures=pictures,
-        judged=[
-            (item, _fitted_values(item), result.refusals.get(item.name, Tried(item.ids)))
-            for item in result.judged[:12]
-        ],
+        judged=[(i, _fitted_values(i), counts[i.name]) for i in result.judged[:12]],
         before=before,
         after=after,
         in_unit=_in_unit,
         false_alarm=f"False alarms, level aimed at: {FALSE_ALARM_LEVEL:.0%}; {FALSE_ALARM_BASIS}",
     )
     write_atomically(folder / "report.html", page)
-    return {
-        "explanations": [_explanation(item, result) for item in result.judged],
-        "relative_errors": {
-            name: {"before": asdict(before[name]), "after": asdict(error)}
-            for name, error in after.items()
-        },
-    }
-
-
-def _explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
-    """Return one explanation in plain numbers: behind is in log evidence, left_over an rms.
-
-    tried, refused: how many of its values were tried, and could not be simulated.
-    """
-    counts = result.refusals.get(item.name, Tried(item.ids))
-    pairs = zip(item.training.candidates, item.training.values, strict=True)
-    return {
-        "name": item.name,
-        "behind": item.score - result.judged[0].score,
-        "probability": item.probability,
-        "left_over": item.misfit.rms,
-        "tried": counts.tried,
-        "refused": counts.refused,
-        "parameters": {candidate.name: dict(values) for candidate, values in pairs},
-    }
+    first = result.judged[0].score
+    explanations = [
+        {
+            "name": item.name,
+            "behind": item.score - first,  # in log evidence
+            "probability": item.probability,
+            "left_over": item.misfit.rms,
+            "tried": counts[item.name].tried,
+            "refused": counts[item.name].refused,
+            "parameters": {
+                candidate.name: dict(values)
+                for candidate, values in zip(
+                    item.training.candidates, item.training.values, strict=True
+                )
+            },
+        }
+        for item in result.judged
+    ]
+    errors = {n: {"before": asdict(before[n]), "after": asdict(e)} for n, e in after.items()}
+    return {"explanations": explanations, "relative_errors": errors}
 
 
 def _look_alikes(cause: ReportedCause, result: Diagnosis) -> str:
@@ -149,23 +134,21 @@ def _look_alikes(cause: ReportedCause, result: Diagnosis) -> str:
 
 def _parameter_lines(cause: ReportedCause) -> list[str]:
     """Return the parameters as lines; a term's nodes as one."""
+    items = cause.parameters.items()
     if "node_00" in cause.parameters:
-        return ["nodes: " + ", ".join(f"{item.value:.3g}" for item in cause.parameters.values())]
-    return [
-        f"{name} {item}" + (f" ({item.note})" if item.note else "")
-        for name, item in cause.parameters.items()
-    ]
+        return ["nodes: " + ", ".join(f"{item.value:.3g}" for _name, item in items)]
+    return [f"{name} {item}{f' ({item.note})' if item.note else ''}" for name, item in items]
 
 
 def _tiles(result: Diagnosis) -> list[tuple[str, str]]:
     """Return the figures at the top as (value, name)."""
+    count = len(result.model.strokes)
     tiles = [
-        (str(len(result.model.strokes)), noun(len(result.model.strokes), "stroke")),
+        (str(count), noun(count, "stroke")),
         (str(len(result.held_out)), "of them held out"),
         (f"{result.gain.before:.3g}", "residual over expected, before"),
     ]
-    if result.causes:
-        first = result.causes[0]
+    for first in result.causes[:1]:
         tiles.append((f"{result.gain.after:.3g}", "after"))
         tiles.append((f"{first.probability:.2f}", f"probability of {first.id}"))
     return tiles

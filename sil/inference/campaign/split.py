@@ -25,11 +25,10 @@ def stratum(stroke: StrokeObservation) -> Stratum:
 
 
 def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the indices of training and held-out strokes.
+    """Return the indices of training and held-out strokes; one or two strokes all train.
 
-    A third is held out, strata in turn, the first stroke of each stratum trains; one or two strokes
-    all train.  No more than MOST_TRAINING train: more would cost time and add nothing.  Every rest
-    before a stroke that occurs is among those that train, as far as there are strokes to change.
+    A third is held out, strata in turn, the first stroke of each trains; at most MOST_TRAINING train.
+    Every rest before a stroke that occurs is among those that train, as far as there are strokes.
     """
     n = len(strokes)
     if n < 3:
@@ -80,8 +79,8 @@ def odd_ones_in(
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Split anew where only held-out strokes show that something is wrong: half of those train.
 
-    squares: mean squared residual of every stroke under the healthy fit to the training ones.  As
-    many training strokes that have another of their kind are held out instead.
+    squares: mean squared residual of every stroke under the healthy fit. As many training strokes that
+    have another of their kind are held out instead.
     """
     usual = float(np.median([squares[k] for k in training]))
     odd = sorted((k for k in held_out if squares[k] > 1.3 * usual), key=lambda k: -squares[k])

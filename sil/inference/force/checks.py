@@ -64,10 +64,7 @@ def _spikes(values: Floats) -> NDArray[np.int64]:
 
 
 def _continues(values: Floats, row: int, most: float) -> bool:
-    """Return whether the two values [n] before or after a sample run straight on to it, within `most`.
-
-    So they do where a motion ends and the force steps, in a record of few samples for a move.
-    """
+    """Return whether two values [n] before or after a sample run straight on to it, as where a force steps."""
     lines = (2.0 * values[row + k] - values[row + 2 * k] for k in (-1, 1))
     return any(abs(float(values[row] - line)) < most for line in lines)
 
@@ -81,8 +78,7 @@ def _moves(position: Floats) -> NDArray[np.bool_]:
 def _jumps(position: Floats) -> NDArray[np.int64]:
     """Return where a position [n] moves within one sample as far as it never does otherwise.
 
-    Where moves take few samples their steps are large: a single step counts if it is five times any other
-    and the body moves without it, too.
+    A single step counts, too, if it is five times any other and the body moves without it.
     """
     moves = np.diff(position)
     steps, span = np.abs(moves), float(np.ptp(position))
@@ -110,10 +106,7 @@ def _runs(values: Floats) -> Iterator[slice]:
 
 
 def _held(position: Floats, force: Floats) -> slice | None:
-    """Return a run of one position under forces that move the body, None if there is none.
-
-    At the ends of the travel a stop can hold it.
-    """
+    """Return a run of one position, not at a stop, under forces that move the body, None if there is none."""
     low, high = np.min(position), np.max(position)
     moving = _moves(position)
     if not moving.any():

@@ -67,9 +67,8 @@ def without_delay(record: Recorded) -> tuple[ForceChoice, str, str]:
 
 
 def _delay(choice: ForceChoice, what: str, pressures: bool) -> ForceDelay | None:
-    """Return the delay that explains what the leader leaves, None if there is none.
+    """Return the delay that explains what the leader leaves, None if there is none; pressures: whether those are late, too.
 
-    pressures: whether those that add to the force are late with it.
     The force is moved against all columns first, so that no cause is taken for a delay, then against
     those of the leader, so that none makes up for a part of it, and last by less than a step.
     """
@@ -115,10 +114,7 @@ def _excess(choice: ForceChoice) -> list[float]:
 
 
 def _lag(bank: Bank, groups: Sequence[TermGroup], pressures: bool) -> int:
-    """Return by how many sampling steps the force is late against the columns of a hypothesis.
-
-    0 if too few samples can be moved.
-    """
+    """Return by how many sampling steps the force is late against a hypothesis, 0 if too few samples can be moved."""
     record = bank.record
     lengths = np.diff(np.append(record.starts, len(record.judged)))
     most = min(int(0.5 / record.step_s), int(lengths.max()) // 8)
@@ -144,11 +140,7 @@ def _lag(bank: Bank, groups: Sequence[TermGroup], pressures: bool) -> int:
 
 
 def _rest_s(choice: ForceChoice, pressures: bool) -> float:
-    """Return by how much less than a step the force is late [s], 0 if that is not sure.
-
-    The delay is what the closest hypothesis leaves of it, which may be all that is left of the
-    leader's residual.
-    """
+    """Return by how much less than a step the force is late [s] in what the closest hypothesis leaves, 0 if unsure."""
     bank, record = choice.bank, choice.bank.record
     base = np.linalg.qr(bank.columns[:, bank.columns_of(choice.closest.groups)])[0]
     rate = record.filtered(record.raw.force_n if pressures else record.recorded_n, 1)
@@ -162,10 +154,9 @@ def _rest_s(choice: ForceChoice, pressures: bool) -> float:
 
 
 def sooner(record: Recorded, late_s: float, pressures: bool) -> Recorded:
-    """Return a record with its recorded force taken so much earlier [s], less what then lacks at the ends.
+    """Return a record with its force, and pressures if stated, taken earlier [s], less what then lacks at the ends.
 
-    pressures: whether those that add to the force are moved with it. What is held over a step h acts
-    as F(t - h/2) + h^2/24 F'', to the next order in h: its mean over the step.
+    What is held over a step h acts as its mean, F(t - h/2) + h^2/24 F'' to the next order in h.
     """
     from scipy.ndimage import correlate1d, shift
 

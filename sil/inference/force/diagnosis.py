@@ -23,8 +23,14 @@ from sil.inference.force.fit import (
 )
 from sil.inference.force.record import Recorded
 from sil.inference.force.terms import difference
-from sil.inference.headline import headline, seen_sentence
-from sil.inference.report import Gain, Interval, ReportedCause, diagnosis_json
+from sil.inference.report import (
+    Gain,
+    Interval,
+    ReportedCause,
+    diagnosis_json,
+    headline,
+    seen_sentence,
+)
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Conclusion, Verdict, decide, kind_of
 
@@ -38,9 +44,8 @@ DETECTABILITY = (
 class ForceDiagnosis:
     """What was found on a rig known by force and position alone.
 
-    judged: explanations that are physical, the best first; singles: each term alone; doubts: why
-    nothing can be concluded; rest: what the leader's residual depends on, and the share of its
-    squares.
+    judged: explanations that are physical, the best first; singles: each term alone; doubts: why nothing
+    can be concluded; rest: what the leader's residual depends on, its class, the share of its squares.
     """
 
     record: Recorded
@@ -208,10 +213,7 @@ class ForceDiagnosis:
         )
 
     def detectable(self) -> list[dict[str, Any]]:
-        """Return the smallest size of each cause that would have been claimed, by a linear estimate.
-
-        It gains what a cause must, and exceeds its own error as a cause must.
-        """
+        """Return the smallest size of each cause that would have gained enough and exceeded its own error."""
         needed = LIMITS.needed_gain(len(self.plain.squares))
         sizes: dict[str, dict[str, Any]] = {}
         for item in self.singles:
@@ -293,8 +295,7 @@ def _described(bank: Bank, leader: ForceFit, smooth: Sequence[TermGroup]) -> tup
 def _is_robust(bank: Bank, leader: ForceFit, group: TermGroup) -> bool:
     """Return whether a cause comes out alike whatever else describes the residual.
 
-    Descriptions that contain the cause are put in its place: one of another class must not leave less
-    than those of its own class do.
+    Where a description contains the cause, one of another class must not leave less than its own class.
     """
     thin = slice(None, None, max(1, len(bank.target) // 5000))
     cause_column = bank.columns[thin, group.columns[0]]
@@ -342,10 +343,7 @@ def _doubts(bank: Bank, plain: ForceFit, delay: str) -> list[str]:
 
 
 def _friction(bank: Bank, groups: Sequence[TermGroup]) -> str:
-    """Return what is not physical about friction and mass without bounds; empty if nothing is.
-
-    A reversed sign reverses both: with a mass that is surely positive, other forces act.
-    """
+    """Return what is not physical about unbounded friction and mass, empty if nothing is: a reversed sign reverses both."""
     speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
     size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
     values, without = bank.unbounded(groups)

@@ -42,9 +42,9 @@ class TermGroup:
 class ForceFit(Explanation):
     """A hypothesis, fitted.
 
-    values, deviations: [k] of the body's and the groups' columns; squares: held-out sum of squares
-    of each group of strokes [N^2]; noise_n: expected rms of its residual [N]; count: independent
-    samples; is_robust: its causes come out alike whatever describes its residual.
+    values, deviations: [k] of the body's and the groups' columns; squares: held-out sums of each group
+    of strokes [N^2]; noise_n: expected rms of its residual [N]; count: independent samples; is_robust:
+    its causes come out alike whatever describes its residual.
     """
 
     groups: tuple[TermGroup, ...]
@@ -130,11 +130,7 @@ class ForceFit(Explanation):
 
 
 def gain_in_errors(item: ForceFit, other: ForceFit) -> float:
-    """Return how much less `item` leaves of held-out squares than `other`, in standard errors.
-
-    Of the squares themselves or of their shares, whichever is surer: where strokes differ much, a
-    gain in every one of them shows in the shares.
-    """
+    """Return how much less `item` leaves of held-out squares, or of their shares, than `other`, in standard errors."""
     gains = other.squares - item.squares
     shares = gains / (np.maximum(other.squares, item.squares) + 1e-300)
     root = len(gains) ** 0.5
@@ -142,10 +138,9 @@ def gain_in_errors(item: ForceFit, other: ForceFit) -> float:
 
 
 class Bank:
-    """All columns at the judged samples, and what least squares needs of them.
+    """All columns [n, k] at the judged samples in N per unit, the body's first, and what least squares needs of them.
 
-    columns: [n, k] in N per unit, the body's first; target: [n] in N; groups: what may be added;
-    missing: why a term is not offered, by name.
+    target: [n] in N; groups: what may be added; missing: why a term is not offered, by name.
     """
 
     def __init__(self, record: Recorded) -> None:
@@ -298,10 +293,7 @@ class Bank:
     def unbounded(
         self, groups: Sequence[TermGroup], rows: NDArray[np.bool_] | None = None
     ) -> tuple[Floats, Floats]:
-        """Return the values [k] of a hypothesis without bounds, and those with each group of strokes left out [f, k].
-
-        rows: the judged samples [n] to fit it to, all by default.
-        """
+        """Return a hypothesis' values [k] without bounds, by all or some `rows` [n], and with each group of strokes left out [f, k]."""
         use = np.ones(len(self.target), dtype=bool) if rows is None else rows
         picked = self.columns_of(groups)
         grams, sides, _ = products(self.columns[use][:, picked], self.target[use], self.fold[use])
@@ -389,10 +381,7 @@ def solved(grams: Floats, sides: Floats) -> tuple[Floats, Floats]:
 
 
 def jackknife(differences: Floats) -> Floats:
-    """Return standard deviations [k] from solutions with each group left out, less the whole [f, k].
-
-    Neighbouring samples are not independent; strokes nearly are.
-    """
+    """Return standard deviations [k] from solutions with each group of strokes left out, less the whole [f, k]."""
     count = len(differences)
     return np.asarray(np.sqrt((count - 1) / count * np.sum(differences**2, axis=0)))
 
@@ -441,8 +430,7 @@ def choose(record: Recorded) -> ForceChoice:
 def has_one_value(bank: Bank, item: ForceFit, group: TermGroup) -> bool:
     """Return whether a cause has the same value in both halves of the samples, by each condition.
 
-    A term that only makes up for one that is missing has another value where that acts more. Halves
-    that determine the value poorly contradict nothing.
+    One that only makes up for another has not; halves that determine it poorly contradict nothing.
     """
     if group.id == UNNAMED:
         return True

@@ -274,10 +274,7 @@ def _judged(
     findings: list[str],
     doubts: list[str],
 ) -> Recorded:
-    """Return the parts [4, m] as one record: filtered, its strokes found, slow samples left out.
-
-    noise: of force and position in each part.
-    """
+    """Return the parts [4, m] as one record: filtered, its strokes found, slow samples left out; noise: of each part."""
     from scipy.ndimage import binary_dilation
 
     counts = [part.shape[1] for part in parts]
@@ -372,11 +369,9 @@ def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.int64]) ->
 
 
 def _width(parts: list[Floats], position_sd: float, least: float = 1.5) -> float:
-    """Return the narrowest filter that leaves little noise of acceleration, in samples.
+    """Return the narrowest filter that leaves little noise of acceleration, in samples, at least `least`.
 
-    At least `least`, so that what is near half the sampling rate is left out.
-    From half a percent to 5 % of the usual time between two turns: a narrower one lets vibrations
-    in, a wider one takes motion away.
+    From half a percent to 5 % of the usual time between turns: between vibrations and motion.
     """
     width, count = least, sum(part.shape[1] for part in parts)
     while True:

@@ -30,10 +30,9 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class Identified:
-    """The outcome of one identification.
+    """The outcome of one identification; over_noise: rms of the residual over its noise, 1 = explained.
 
-    over_noise: rms of the residual over the expected noise, 1 = explained. Where the model does not fit, no interval is stated: it would hold only if the
-    model were right.
+    Where the model does not fit, no interval is stated: it would hold only if the model were right.
     """
 
     what: str

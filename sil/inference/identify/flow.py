@@ -133,10 +133,7 @@ def _slope(record: RestRecord) -> tuple[Floats, Floats]:
 
 
 def _rate_misfit(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> float:
-    """Return the mean square of measured minus predicted rate over the gauge's noise in it.
-
-    Both rates by `_slope`, so that its smoothing cancels.
-    """
+    """Return the mean square of measured minus predicted rate, both by `_slope`, over the gauge's noise in it."""
     from scipy.signal import savgol_coeffs
 
     _smooth, measured = _slope(record)
@@ -163,10 +160,8 @@ def two_polynomials(
 ) -> tuple[Polynomial, Polynomial]:
     """Fit two polynomials joined with value and slope at `split`; the near one vanishes at 1.
 
-    near, far: their degrees.  Least squares with the three conditions exact.  Returns ascending
-    coefficients (near, far).
-
-    x: [n] pressure ratios, y: [n] in K kg/(s Pa).
+    x: [n] pressure ratios, y: [n] in K kg/(s Pa); near, far: degrees. Least squares, the conditions
+    exact. Returns ascending coefficients (near, far).
     """
     is_near = _near_root(x, split)
     rows_near = np.vander(x[is_near], near + 1, increasing=True)

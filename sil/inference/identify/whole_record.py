@@ -32,10 +32,9 @@ from sil.report.figure import BAR, MM, Figure, Panel, Series, Stack
 
 @dataclass(frozen=True)
 class Method:
-    """What is fitted, and to which strokes.
+    """What is fitted (parameter path -> its index in the packed array), and to which strokes.
 
-    indices: parameter path -> its index in the packed array; columns: those that a record needs; expressed:
-    healthy tolerances that the parameters themselves express, which stay at zero.
+    columns: those that a record needs; expressed: tolerances that the parameters themselves express.
     """
 
     indices: Mapping[str, int]
@@ -77,10 +76,7 @@ METHODS = {
 def identify_records(
     what: str, campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
 ) -> Identified:
-    """Fit one of METHODS to a campaign's strokes; flow, volumes, delays and supply follow under their priors.
-
-    Raises InputError for too few strokes.
-    """
+    """Fit one of METHODS to a campaign's strokes, tolerances under their priors; raises InputError for too few strokes."""
     method = METHODS[what]
     strokes = usable_strokes(campaign, method)
     estimates, over_noise = _fitted(strokes, parameters, method, progress)
@@ -89,10 +85,7 @@ def identify_records(
 
 
 def usable_strokes(campaign: Campaign, method: Method) -> list[tuple[CampaignStroke, Record]]:
-    """Return the strokes of the fixed piston from its beginning, unloaded or with the compressible damper.
-
-    Raises InputError for fewer than two, or one with damper.
-    """
+    """Return the fixed piston's strokes, unloaded or with the compressible damper; raises InputError for too few."""
     strokes = []
     for entry in campaign.strokes:
         c = entry.conditions

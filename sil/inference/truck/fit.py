@@ -6,7 +6,7 @@ of log(factor) for each number. Each shift has quantities of its own, eliminated
 the loads differ from shift to shift is estimated by EM. Pulses have kinks by every quantity where the
 stay sticks and releases: steps are tried at several dampings at once, and before each stage random
 quantities of every shift; the best are taken.
-Source: Levenberg-Marquardt with Schur elimination, as in sil/inference/arrow.py; evidence by Laplace.
+Source: Levenberg-Marquardt with Schur elimination, as in sil/inference/fit.py; evidence by Laplace.
 Checked by: tests/unit/sil/inference/truck/test_fit.py
 """
 

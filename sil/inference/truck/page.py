@@ -13,8 +13,14 @@ import numpy as np
 from plant.parameters import Parameter
 from sil.files.atomic import write_atomically
 from sil.files.quantity import counted, noun
-from sil.inference.headline import headline, seen_sentence
-from sil.inference.report import Interval, ReportedCause, diagnosis_json, model_file
+from sil.inference.report import (
+    Interval,
+    ReportedCause,
+    diagnosis_json,
+    headline,
+    model_file,
+    seen_sentence,
+)
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.truck.detectable import Detectable
 from sil.inference.truck.diagnosis import TruckDiagnosis

@@ -57,7 +57,7 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     extended = load(path)
     assert extended.effects["exhaust_clog"]["factor"].value == pytest.approx(factor.value)
     plain = json.loads(
-        json.dumps(finite(write_report(found, tmp_path, "measured/ --model nominal", "nominal")))
+        json.dumps(finite(write_report(found, tmp_path, "measured/ --model nominal")))
     )
     assert plain["explanations"][0]["behind"] == 0.0 and plain["explanations"][0]["left_over"] < 1.1
     assert plain["relative_errors"]["position_m"]["after"]["mean"] < 0.01

@@ -94,7 +94,7 @@ def test_values_that_cannot_be_simulated_are_reported(tmp_path, own_effects) -> 
     (reported,) = [text for text in map(str, found.findings) if "cannot be simulated" in text]
     tried = found.refusals["runaway"]
     assert reported == f"made: runaway: {tried}" and 0 < tried.refused < tried.tried
-    plain = write_report(found, tmp_path, "measured/", "nominal")
+    plain = write_report(found, tmp_path, "measured/")
     assert reported in (tmp_path / "report.html").read_text(encoding="utf-8")
     by_name = {item["name"]: item for item in plain["explanations"]}
     first, healthy = by_name["runaway"], by_name["healthy"]

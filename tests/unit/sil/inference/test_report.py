@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sil.cli.diagnose import print_causes
-from sil.inference.headline import headline, seen_sentence
-from sil.inference.report import Gain, Interval, ReportedCause
+from sil.inference.report import Gain, Interval, ReportedCause, headline, seen_sentence
 
 
 def cause(name: str, parameter: str, *values: float, unit: str, p: float = 0.98) -> ReportedCause:
