@@ -56,10 +56,7 @@ def calibrated_values(
     parameters: ParameterSet, model: CampaignModel, fit: FitResult
 ) -> dict[str, Calibrated]:
     """Return by path what a fit makes of a data sheet, intervals by slopes: in logarithms, of the delays as they are."""
-    count = len(model.unit)
-    root = model.spread.root
-    amounts: Floats = root @ fit.shared[:count]
-    covariance = root @ fit.covariance[:count, :count] @ root.T
+    amounts, covariance = unit_estimate(model, fit)
     read = cylinder_values if "cylinder.bore" in parameters else actuator_values
     systems = {stroke.conditions.system for stroke in model.strokes}
 
@@ -88,39 +85,34 @@ def cylinder_values(
     parameters: ParameterSet, amounts: Mapping[str, float], systems: set[int]
 ) -> dict[str, Number]:
     """Return the section [cylinder] after `amounts`; its tubes are within valves and dead volumes then."""
-    setup = Setup.of(parameters, StrokeConditions("fixed", parameters.value("supply.P_s"), ()))
+    value = parameters.value
+    setup = Setup.of(parameters, StrokeConditions("fixed", value("supply.P_s"), ()))
     for name, amount in amounts.items():
         shift(setup, name, amount)
     p = setup.p
-    value = parameters.value
-    swept = (
-        0.25
-        * pi
-        * (value("cylinder.bore") ** 2 - value("cylinder.rod") ** 2)
-        * value("cylinder.stroke")
-    )
-    values: dict[str, Number] = {
-        "cylinder.dead_volume_1": float(p.vol_b),
-        "cylinder.dead_volume_2": float(p.vol_n) - swept,
-        "cylinder.mass": float(p.m_s),
-        "cylinder.breakaway": float(p.f_static_s),
-        "cylinder.coulomb": float(p.f_run_s),
-        "cylinder.viscous": float(p.beta_s),
-        "cylinder.spring_rate": float(p.spring_k),
-        "cylinder.spring_preload": 0.0 - float(p.f_external),
-        "cylinder.valve_b": float(p.valve_b),
-        "cylinder.wall_heat": float(p.wall_heat),
-        "cylinder.wall_density": float(p.wall_density),
-        "cylinder.kappa": float(p.air_kappa),
-        "cylinder.tube_length": 0.0,
-        **delays(setup),
+    area_m2 = 0.25 * pi * (value("cylinder.bore") ** 2 - value("cylinder.rod") ** 2)
+    moved = {
+        "dead_volume_1": p.vol_b,
+        "dead_volume_2": p.vol_n - area_m2 * value("cylinder.stroke"),
+        "mass": p.m_s,
+        "breakaway": p.f_static_s,
+        "coulomb": p.f_run_s,
+        "viscous": p.beta_s,
+        "spring_rate": p.spring_k,
+        "spring_preload": 0.0 - p.f_external,
+        "valve_b": p.valve_b,
+        "wall_heat": p.wall_heat,
+        "wall_density": p.wall_density,
+        "kappa": p.air_kappa,
+        "tube_length": 0.0,
     }
+    values = {f"cylinder.{name}": float(number) for name, number in moved.items()} | delays(setup)
     for end, area in (("in", p.k_in * p.cda_in), ("out", p.k_out * p.cda_out)):
         if f"cylinder.valve_c_{end}" in parameters:
             values[f"cylinder.valve_c_{end}"] = float(area) / area_of(1.0)
         else:
             values[f"cylinder.valve_cda_{end}"] = float(area)
-    return values
+    return dict(values)
 
 
 def actuator_values(
@@ -130,22 +122,23 @@ def actuator_values(
     values: dict[str, Number] = {}
     fields = {field.start: field for field in Parameters.fields.values()}
     for name, amount in amounts.items():
+        factor = exp(amount)
         for index in FACTORS.get(name, ()):
             by_system = fields[index].paths
             paths = [by_system[s] for s in systems if by_system and by_system[s]]
             for path in (*paths, *FLOW_MAPS.get(index, ())):
                 old = parameters[path].value
                 if isinstance(old, tuple):
-                    values[path] = tuple(exp(amount) * item for item in old)
+                    values[path] = tuple(factor * item for item in old)
                 else:
-                    values[path] = exp(amount) * old
+                    values[path] = factor * old
     setup = Setup.of(parameters, StrokeConditions("fixed", parameters.value("supply.P_s"), ()))
     for name in ("rise", "fall"):
         shift(setup, name, amounts.get(name, 0.0))
     return values | delays(setup)
 
 
-def delays(setup: Setup) -> dict[str, Number]:
+def delays(setup: Setup) -> dict[str, float]:
     """Return the valves' delays of a stroke by their paths [s]."""
     timing = setup.timing
     return {"valve.D_rise": 1e-9 * timing.rise_ns, "valve.D_fall": 1e-9 * timing.fall_ns}
@@ -249,11 +242,11 @@ def calibrate(
     parameters: the data sheet. Raises InputError for a campaign that cannot be compared, too few strokes,
     and a data sheet that cannot follow them.
     """
-    if len(campaign.strokes) < MIN_STROKES:
-        raise InputError(
-            f"{campaign.folder}: {len(campaign.strokes)} strokes; expected at least {MIN_STROKES}, "
-            "better ten, of every kind that a diagnosis shall use"
-        )
+    count = len(campaign.strokes)
+    if count < MIN_STROKES:
+        better = "better ten, of every kind that a diagnosis shall use"
+        expected = f"expected at least {MIN_STROKES}, {better}"
+        raise InputError(f"{campaign.folder}: {count} strokes; {expected}")
     fresh = {p: item for p, item in parameters.entries.items() if p not in UNITS}
     sheet = replace(parameters, entries=fresh)
     strokes, findings = observed(campaign, sheet)
@@ -261,11 +254,10 @@ def calibrate(
     try:
         channels = held_out(model, progress)
         for name, channel in channels.items():
-            if channel.discrepancy > 0.0:
-                left = channel.discrepancy, channel.time_s
-                for section, value in zip(("discrepancy", "discrepancy_time"), left, strict=True):
-                    path = f"{section}.{name}"
-                    fresh[path] = Parameter(value, UNITS[path], "rms on held-out strokes")
+            left = {"discrepancy": channel.discrepancy, "discrepancy_time": channel.time_s}
+            for section, value in left.items() if channel.discrepancy > 0.0 else ():
+                path = f"{section}.{name}"
+                fresh[path] = Parameter(value, UNITS[path], "rms on held-out strokes")
         wide, _findings = observed(campaign, replace(sheet, entries=fresh))
         model = model_of(wide, model.spread)
         fit = Fitter(model, progress).fit(iterations=ITERATIONS)
@@ -273,7 +265,7 @@ def calibrate(
         raise InputError(f"{campaign.folder}: {sheet.name} cannot follow it: {error}") from None
     result = StrokeCalibration(
         campaign.name,
-        counted(len(campaign.strokes), "stroke"),
+        counted(count, "stroke"),
         replace(sheet, entries=fresh),
         channels,
         calibrated_values(sheet, model, fit),
@@ -317,8 +309,7 @@ def residuals(
 ) -> dict[str, list[tuple[Floats, float, Floats]]]:
     """Return by channel each stroke's residuals [n], its noise (both in the channel's unit) and instants [n] in s."""
     parts: dict[str, list[tuple[Floats, float, Floats]]] = {}
-    for k, block in blocks.items():
-        stroke = model.strokes[k]
+    for stroke, block in ((model.strokes[k], block) for k, block in blocks.items()):
         for channel, r in channel_parts(stroke, block.residual):
             item = r * channel.sd, channel.noise.sd, stroke.time_s[channel.rows]
             parts.setdefault(channel.name, []).append(item)
@@ -351,24 +342,26 @@ def missing_structure(model: CampaignModel, fit: FitResult) -> dict[str, float]:
 
 def quantities(model: CampaignModel, fit: FitResult) -> Iterator[tuple[str, float, float, float]]:
     """Yield each quantity of the unit: its amount, its deviation after the fit, and the one before it."""
+    amounts, covariance = unit_estimate(model, fit)
+    after = np.sqrt(np.diag(covariance)).tolist()
+    before = np.sqrt(np.sum(model.spread.root**2, axis=1)).tolist()
+    yield from zip(model.unit, amounts.tolist(), after, before, strict=True)
+
+
+def unit_estimate(model: CampaignModel, fit: FitResult) -> tuple[Floats, Floats]:
+    """Return the amounts of the unit's quantities [unit], each in its own unit, and their covariance [unit, unit]."""
     root, count = model.spread.root, len(model.unit)
-    amounts = root @ fit.shared[:count]
-    after = np.sqrt(np.diag(root @ fit.covariance[:count, :count] @ root.T))
-    before = np.sqrt(np.sum(root**2, axis=1))
-    for row in zip(model.unit, amounts, after, before, strict=True):
-        yield row[0], float(row[1]), float(row[2]), float(row[3])
+    return root @ fit.shared[:count], root @ fit.covariance[:count, :count] @ root.T
 
 
 def posterior(model: CampaignModel, fit: FitResult) -> dict[str, Parameter]:
     """Return the section [posterior]: the rows of the covariance of the unit's quantities."""
-    root, count = model.spread.root, len(model.unit)
-    covariance = root @ fit.covariance[:count, :count] @ root.T
+    _amounts, covariance = unit_estimate(model, fit)
     names = [name for name in model.unit if f"posterior.{name}" in UNITS]
     rows = [model.unit.index(name) for name in names]
     entries = {}
-    for k, name in enumerate(names):
-        row = tuple(covariance[rows[k], rows[: k + 1]].tolist())
-        path = f"posterior.{name}"
-        text = f"covariance with {', '.join(names[: k + 1])}"
+    for k, name in enumerate(names, start=1):
+        row = tuple(covariance[rows[k - 1], rows[:k]].tolist())
+        path, text = f"posterior.{name}", f"covariance with {', '.join(names[:k])}"
         entries[path] = Parameter(row, UNITS[path], text)
     return entries

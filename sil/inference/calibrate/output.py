@@ -67,17 +67,10 @@ def _stroke(result: StrokeCalibration, k: int) -> Stack:
 
 def write_page(result: Calibration, figure: Figure, path: Path, again: str) -> None:
     """Write the page of a calibration; figure: of what was measured."""
-    head = Head(
-        command="calibrate",
-        name=result.name,
-        verdict="good enough" if result.good else "structure missing",
-        good=result.good,
-        tiles=[
-            (result.content.split()[0], result.content.split()[1]),
-            (f"{result.worst[1]:.3g}", "rms over noise, held out"),
-        ],
-        again=again,
-    )
+    count, data = result.content.split()
+    tiles = [(count, data), (f"{result.worst[1]:.3g}", "rms over noise, held out")]
+    verdict = "good enough" if result.good else "structure missing"
+    head = Head("calibrate", result.name, verdict, result.good, tiles, again)
     rows = [(path, result.parameters[path], item) for path, item in result.scalars.items()]
     page = render("calibration.html", head, plots(figure), result=result, rows=rows)
     write_atomically(path, page)

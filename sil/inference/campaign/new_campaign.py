@@ -133,10 +133,8 @@ def _questions(rig: Rig, channels: Sequence[RecordedColumn], level: str) -> Iter
     ours = {channel.ours for channel in channels}
     others = {"position_m": "angle_rad", "force_n": "torque_n_m"}
     for name, text in ASKED.items():
-        if (
-            name not in ours
-            and others.get(name) not in ours
-            and (rig == "force" or name != "force_n")
+        if ours.isdisjoint({name, others.get(name, name)}) and (
+            rig == "force" or name != "force_n"
         ):
             yield text
     if rig == "force":
@@ -145,9 +143,8 @@ def _questions(rig: Rig, channels: Sequence[RecordedColumn], level: str) -> Iter
     if level == "?":
         yield 'pressures = "gauge" or "absolute"? By their level they may count from the atmosphere'
     if not any(name.startswith("cmd_") for name in ours):
-        yield 'commands of each stroke: when was which valve switched, e.g. [[0.01, "B", 0.98]]?'.replace(
-            "B", RIG_CHAMBERS[rig][0]
-        )
+        example = f'[[0.01, "{RIG_CHAMBERS[rig][0]}", 0.98]]'
+        yield f"commands of each stroke: when was which valve switched, e.g. {example}?"
     yield from OF_STROKES
     if rig == "cylinder":
         yield "the cylinder's data sheet: a model file with [cylinder], given as --model"
@@ -197,10 +194,17 @@ def _conditions(rig: Rig, channels: list[RecordedColumn], table: Mapping[str, Fl
         count = max(1, len(values) // 50)
         ends_m = float(np.median(values[:count])), float(np.median(values[-count:]))
     charged, changes = commands(channels, table)
+    supply_pa: float | str = "?"  # what a chamber shows that was charged before
+    for channel in channels:
+        if channel.ours in {f"pressure_{chamber}_pa" for chamber in charged} and channel.scale:
+            values = table[channel.name]
+            first_pa = np.median(values[: max(1, len(values) // 200)]) * channel.scale
+            supply_pa = float(f"{first_pa:.3g}")
+            break
     has_commands = any(name.startswith("cmd_") for name in by_name)
     values_by_key = {
         "kind": _kind(ends_m) if rig == "actuator" else "fixed",
-        "supply_pressure_pa": _supply_pa(channels, table, charged),
+        "supply_pressure_pa": supply_pa,
         "load": "none",
         "rest_s": 60.0,
         "commands": changes if has_commands else "?",
@@ -211,24 +215,15 @@ def _conditions(rig: Rig, channels: list[RecordedColumn], table: Mapping[str, Fl
     return [f"{key} = {toml_value(value)}" for key, value in values_by_key.items()]
 
 
-def _supply_pa(
-    channels: Sequence[RecordedColumn], table: Mapping[str, Floats], charged: Sequence[str]
-) -> float | str:
-    """Return what a chamber shows that was charged before, "?" without one."""
-    for channel in channels:
-        if channel.ours in {f"pressure_{chamber}_pa" for chamber in charged} and channel.scale:
-            values = table[channel.name]
-            return float(f"{np.median(values[: max(1, len(values) // 200)]) * channel.scale:.3g}")
-    return "?"
-
-
 def _kind(ends_m: tuple[float, float] | None) -> str:
     """Return the kind of a stroke between two positions from neutral [m], "?" for none of ours."""
     stroke_m = load("nominal").value("length.stroke")
-    if ends_m is None or any(abs(x / stroke_m - round(x / stroke_m)) > 0.2 for x in ends_m):
+    places = [x / stroke_m for x in ends_m or ()]
+    if any(abs(place - round(place)) > 0.2 for place in places):
         return "?"
-    steps = round(ends_m[0] / stroke_m), round(ends_m[1] / stroke_m)
-    return {(0, 1): "N-B", (1, 0): "B-N", (0, -1): "N-F", (-1, 0): "F-N"}.get(steps, "?")
+    kinds: dict[tuple[int, ...], str]
+    kinds = {(0, 1): "N-B", (1, 0): "B-N", (0, -1): "N-F", (-1, 0): "F-N"}
+    return kinds.get(tuple(map(round, places)), "?")
 
 
 def _figure(
@@ -239,20 +234,14 @@ def _figure(
     """Return every channel as it is in the files, one stack a file (of the first four)."""
     stacks = []
     clock = next((c for c in channels if c.ours == "time_s" and c.scale), RecordedColumn(""))
+    axis = "time, s" if clock.name else "row"
     for file, columns in list(zip(files, tables, strict=True))[:4]:
         count = len(next(iter(columns.values())))
         x = np.asarray(columns.get(clock.name, np.arange(float(count))) * (clock.scale or 1.0))
         rows = np.linspace(0, count - 1, min(count, 4000)).astype(int)
-        panels = [
-            Panel(
-                f"{channel.name}: {channel.ours or 'not used'}",
-                "",
-                [Series(channel.name, x[rows], columns[channel.name][rows], "measured")],
-                height=110,
-            )
-            for channel in channels
-            if channel.name != clock.name
-        ]
-        axis = "time, s" if clock.name else "row"
+        panels = []
+        for name, ours in ((c.name, c.ours) for c in channels if c.name != clock.name):
+            line = Series(name, x[rows], columns[name][rows], "measured")
+            panels.append(Panel(f"{name}: {ours or 'not used'}", "", [line], height=110))
         stacks.append(Stack(f"{axis} ({file.name})", panels))
     return Figure(stacks)

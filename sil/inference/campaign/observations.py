@@ -1,7 +1,9 @@
 """What was measured, made ready for comparison: instants, channels, expected noise.
 
-The record is thinned where nothing happens: full resolution while something moves, coarse while
-chambers fill; neighbouring samples of a resting potentiometer carry one piece of information.
+The record is thinned where nothing happens; neighbouring samples of a resting potentiometer carry one piece
+of information. The control unit's position is one value a publication, whose instants say where the
+record is within the sensor's period.
+Checked by: tests/unit/sil/inference/campaign/test_observations.py
 """
 
 from __future__ import annotations
@@ -38,12 +40,10 @@ class InternalSamples:
 
 def internal_samples(time_s: Floats, values: Floats) -> InternalSamples | None:
     """Return the publications in values [n] in m at time_s [n]; None without motion, or recorded slower than every 5 ms."""
-    if float(time_s[1] - time_s[0]) > 0.005:
-        return None
-    edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
-    if len(edges) < 4:
-        return None
     step_s = float(time_s[1] - time_s[0])
+    edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
+    if step_s > 0.005 or len(edges) < 4:
+        return None
     slope_m_s = np.abs(np.gradient(values[edges], time_s[edges]))
     # beyond the usual recorder's step of 0.1 ms, which the expected scatter holds
     late_s = (max(0.0, step_s**2 - 1e-4**2) / 12.0) ** 0.5
@@ -91,16 +91,13 @@ def internal_prediction(
 @lru_cache(maxsize=64)
 def _impulse_response(order: int, cutoff_hz: float, period_s: float, count: int) -> Floats:
     """Response of a chain's filter to one unit value, `count` periods long."""
-    if not order:
-        response = np.zeros(count)
-        response[0] = 1.0
-        return response
-    from plant.devices.sensors import butterworth_sections, filter_from_rest
-
-    sections = butterworth_sections(order, cutoff_hz, 1.0 / period_s)
     impulse = np.zeros(count + 1)
     impulse[1] = 1.0
-    return np.asarray(filter_from_rest(sections, impulse)[1:])
+    if order:
+        from plant.devices.sensors import butterworth_sections, filter_from_rest
+
+        impulse = filter_from_rest(butterworth_sections(order, cutoff_hz, 1.0 / period_s), impulse)
+    return np.asarray(impulse[1:])
 
 
 ROOT_12 = 12**0.5
@@ -256,15 +253,13 @@ def kind_of(column: str) -> str:
 def nominal_noise(parameters: ParameterSet) -> dict[str, Noise]:
     """Return the noise of each kind of channel by the parameters, its converter's step included."""
     value = parameters.value
-    pot = value("potentiometer.resolution")
-    noise = {
-        "position": Noise(float(np.hypot(value("potentiometer.noise_sd"), pot / ROOT_12)), pot)
+    levels = 2 ** value("gauge.adc_bits")
+    rows = {
+        "position": (value("potentiometer.noise_sd"), value("potentiometer.resolution")),
+        "pressure": (value("gauge.noise_sd_air"), value("gauge.range_air") / levels),
+        "oil": (value("gauge.noise_sd_oil"), value("gauge.range_oil") / levels),
     }
-    for kind, medium in (("pressure", "air"), ("oil", "oil")):
-        step = value(f"gauge.range_{medium}") / 2 ** value("gauge.adc_bits")
-        sd = float(np.hypot(value(f"gauge.noise_sd_{medium}"), step / ROOT_12))
-        noise[kind] = Noise(sd, step)
-    return noise
+    return {k: Noise(float(np.hypot(sd, step / ROOT_12)), step) for k, (sd, step) in rows.items()}
 
 
 def _thinned(
@@ -287,15 +282,11 @@ def _thinned(
 
 def _run_lengths(values: Floats, step: float) -> Floats:
     """Return the length of the run of neighbours within a step of wire or converter that each sample belongs to."""
-    close = np.abs(np.diff(values)) < 1.4 * step
-    same = np.concatenate([[False], close])
-    start = np.flatnonzero(~same)
-    lengths = np.diff(np.concatenate([start, [len(values)]]))
-    # only long level stretches count as rest: the wiper's level must not drift
+    edges = np.flatnonzero(np.abs(np.diff(values)) >= 1.4 * step) + 1
     out = np.ones(len(values))
-    for begin, length in zip(start, lengths, strict=True):
-        stretch = values[begin : begin + length]
-        if length > 8:
+    for stretch, lengths in zip(np.split(values, edges), np.split(out, edges), strict=True):
+        # only long level stretches count as rest: the wiper's level must not drift
+        if len(stretch) > 8:
             level = np.abs(stretch - np.median(stretch)) < 2.4 * step
-            out[begin : begin + length][level] = np.count_nonzero(level)
+            lengths[level] = np.count_nonzero(level)
     return out

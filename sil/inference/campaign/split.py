@@ -52,20 +52,19 @@ def _with_every_rest(
 ) -> list[int]:
     """Training strokes, some changed for held-out ones that rested as long as none of them did."""
     chosen = list(training)
-
-    def rests() -> list[float]:
-        return [strokes[k].conditions.rest_s for k in chosen]
-
+    rest_s = [stroke.conditions.rest_s for stroke in strokes]
+    strata = list(map(stratum, strokes))
     for k in held_out:
-        if strokes[k].conditions.rest_s in rests():
+        rests = [rest_s[j] for j in chosen]
+        if rest_s[k] in rests:
             continue
+        present = [strata[i] for i in (*chosen, k)]
         spare = [
             j
             for j in reversed(chosen)
-            if rests().count(strokes[j].conditions.rest_s) > 1
-            and sum(stratum(strokes[i]) == stratum(strokes[j]) for i in [*chosen, k]) > 1
+            if rests.count(rest_s[j]) > 1 and present.count(strata[j]) > 1
         ]
-        alike = [j for j in spare if stratum(strokes[j]) == stratum(strokes[k])]
+        alike = [j for j in spare if strata[j] == strata[k]]
         if spare:
             chosen[chosen.index((alike or spare)[0])] = k
     return chosen
@@ -84,13 +83,13 @@ def odd_ones_in(
     """
     usual = float(np.median([squares[k] for k in training]))
     odd = sorted((k for k in held_out if squares[k] > 1.3 * usual), key=lambda k: -squares[k])
-    moved = odd[: (len(odd) + 1) // 2]
-    remaining = list(training)
-    freed: list[int] = []
+    moved = set(odd[: (len(odd) + 1) // 2])
+    freed: set[int] = set()
     for k in reversed(training):
-        alike = sum(stratum(strokes[i]) == stratum(strokes[k]) for i in remaining)
-        if len(freed) < len(moved) and alike > 1:
-            remaining.remove(k)
-            freed.append(k)
-    held_out_now = sorted((set(held_out) - set(moved)) | set(freed))
-    return tuple(sorted([*remaining, *moved])), tuple(held_out_now)
+        left = [stratum(strokes[i]) for i in training if i not in freed]
+        if len(freed) < len(moved) and left.count(stratum(strokes[k])) > 1:
+            freed.add(k)
+    return (
+        tuple(sorted({*training, *moved} - freed)),
+        tuple(sorted({*held_out, *freed} - moved)),
+    )

@@ -38,9 +38,9 @@ class ForceDelay:
 def without_delay(record: Recorded) -> tuple[ForceChoice, str, str]:
     """Return what is chosen, a finding about a delay, and a doubt about one that forbids conclusions.
 
-    A delay within a sampling step is taken off if noise does not explain what is left with it. With a
-    longer one nothing can be concluded, unless noise explains that and the same causes lead without
-    it. None is sought where noise explains what a plain body leaves.
+    A delay within a sampling step is taken off if noise does not explain what is left with it. A longer
+    one forbids conclusions, unless noise explains that and the same causes lead without it. None is
+    sought where noise explains what a plain body leaves.
     """
     choice = choose(record)
     if choice.is_explained and not choice.leader.groups:
@@ -52,18 +52,19 @@ def without_delay(record: Recorded) -> tuple[ForceChoice, str, str]:
     elif np.ptp(recorded_n) == 0.0 or np.array_equal(recorded_n, record.raw.force_n):
         ways = [(what, True)]
     delays = [item for what, too in ways if (item := _delay(choice, what, too))]
-    if not delays:
+    delay = min(delays, key=lambda item: item.choice.leader.over_noise, default=None)
+    if delay is None:
         return choice, "", ""
-    delay = min(delays, key=lambda item: item.choice.leader.over_noise)
     if delay.is_within(record.step_s):
         if choice.is_explained:
             return choice, "", ""
         why = "within a sampling step (a command that is held from sample to sample?)"
         return delay.choice, f"{delay}, {why}: taken off", ""
     remedy = f"correct the time base, or state delay_s = {delay.late_s:.4g} for it in [columns]"
+    text = f"{delay}: {remedy}"
     if choice.is_explained and delay.choice.leader.ids == choice.leader.ids:
-        return choice, f"{delay}: {remedy}", ""
-    return choice, "", f"{delay}: {remedy}"
+        return choice, text, ""
+    return choice, "", text
 
 
 def _delay(choice: ForceChoice, what: str, pressures: bool) -> ForceDelay | None:

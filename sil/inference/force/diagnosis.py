@@ -1,5 +1,9 @@
-"""The result of a diagnosis on a rig known by force and position alone.
+"""The diagnosis of a body known by driving force and position: what acts on it, and whether the record can say so.
 
+The hypotheses of `fit` go through the verdict of all rigs. What no cause explains is described by
+functions without a form. Signs, time base and how much the motion tells are judged first.
+
+Source: inverse dynamic identification, e.g. Gautier, Janot, Vandanjon 2013.
 Checked by: tests/unit/sil/inference/force/test_diagnosis.py
 """
 
@@ -15,6 +19,7 @@ from sil.inference.force.delay import without_delay
 from sil.inference.force.fit import (
     BODY,
     POSITIVE,
+    VISCOUS,
     Bank,
     ForceFit,
     TermGroup,
@@ -57,14 +62,14 @@ class ForceDiagnosis:
     doubts: tuple[str, ...]
     rest: tuple[str, str, float]
 
+    def error(self, item: ForceFit) -> float:
+        """Return the relative force error: held-out rms over the rms of the driving force."""
+        return item.rms_n / (float(np.sqrt(np.mean(self.bank.target**2))) + 1e-300)
+
     @property
     def leader(self) -> ForceFit:
         """The hypothesis accepted: the plain body if no cause is."""
         return self.verdict_.leader
-
-    def error(self, item: ForceFit) -> float:
-        """Return the relative force error: held-out rms over the rms of the driving force."""
-        return item.rms_n / (float(np.sqrt(np.mean(self.bank.target**2))) + 1e-300)
 
     @property
     def unit(self) -> str:
@@ -106,14 +111,13 @@ class ForceDiagnosis:
         """Return the causes claimed and their rivals, and what no named cause explains."""
         causes = []
         for name, probability in self.verdict_.probabilities.items():
-            item = self.leader
-            if name not in item.ids:
-                others = [i for i in self.judged if name in i.ids and i.probability > 0.0]
-                if not others:
-                    causes.append(self._unexplained(probability))
-                    continue
-                item = others[0]
-            causes.append(self._cause(name, item, probability))
+            others = [i for i in self.judged if name in i.ids and i.probability > 0.0]
+            if name in self.leader.ids:
+                causes.append(self._cause(name, self.leader, probability))
+            elif others:
+                causes.append(self._cause(name, others[0], probability))
+            else:
+                causes.append(self._unexplained(probability))
         # what the verdict says comes first
         last = UNNAMED if self.verdict in ("named", "ambiguous") else ""
         return sorted(causes, key=lambda cause: (cause.id == last, -cause.probability))
@@ -122,14 +126,12 @@ class ForceDiagnosis:
         group = item.groups[item.ids.index(name)]
         value, deviation = item.size_of(group)
         assert group.form is not None or name == UNNAMED
-        if group.form is None:
-            what, parameter, unit = f"a force with the {group.name}", "snap_kg_s2", "kg s^2"
-        else:
+        what, parameter, unit = f"a force with the {group.name}", "snap_kg_s2", "kg s^2"
+        if group.form is not None:
             what, parameter = group.form.what, group.form.parameter
             unit = self._unit(group.form.unit)
-        others = [
-            i for i in self.judged if name not in i.ids and set(i.ids) <= set(self.leader.ids)
-        ]
+        leading = set(self.leader.ids)
+        others = [i for i in self.judged if name not in i.ids and set(i.ids) <= leading]
         without = min(others, key=lambda i: i.score)
         text = (
             f"{what}: {value:.3g} {unit}; with it, the held-out residual falls from "
@@ -137,20 +139,14 @@ class ForceDiagnosis:
             f"{gain_in_errors(item, without):.1f} standard errors; relative force error "
             f"{self.error(without):.2%} before, {self.error(item):.2%} after"
         )
-        if name not in self.leader.ids:
+        if name not in leading:
             text = f"cannot be distinguished from {self.leader.name}: {text}"
-        return ReportedCause(
-            name,
-            group.cause_class,
-            probability,
-            {parameter: Interval.normal(value, deviation, unit)},
-            text,
-            what=what,
-        )
+        parameters = {parameter: Interval.normal(value, deviation, unit)}
+        return ReportedCause(name, group.cause_class, probability, parameters, text, what=what)
 
     def _unexplained(self, probability: float) -> ReportedCause:
         """Return the cause of a residual that neither noise nor a named cause explains."""
-        item = self.leader
+        item, unit = self.leader, self.unit
         counts = np.unique(self.record.raw.block[self.record.judged], return_counts=True)[1]
         blocks = item.squares / counts
         error = 1.96 * float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
@@ -164,16 +160,14 @@ class ForceDiagnosis:
                 "time lag, vibration) or not repeated from stroke to stroke"
             )
         besides = f"besides {item.name}, " if self.verdict in ("named", "ambiguous") else ""
-        return ReportedCause(
-            UNNAMED,
-            cause_class,
-            probability,
-            {"force_rms_n": Interval(value, low, high, self.unit)},
-            f"{besides}a force of {value:.3g} {self.unit} rms that no named cause explains: the held-out residual is "
-            f"{item.over_noise:.3g} times the noise of {item.noise_n:.3g} {self.unit} "
-            f"({self.error(item):.1%} of the driving force); {where}",
-            what=f"a force of {value:.2g} {self.unit} rms, {self.error(item):.1%} of the driving force",
+        text = (
+            f"{besides}a force of {value:.3g} {unit} rms that no named cause explains: the held-out residual is "
+            f"{item.over_noise:.3g} times the noise of {item.noise_n:.3g} {unit} "
+            f"({self.error(item):.1%} of the driving force); {where}"
         )
+        what = f"a force of {value:.2g} {unit} rms, {self.error(item):.1%} of the driving force"
+        parameters = {"force_rms_n": Interval(value, low, high, unit)}
+        return ReportedCause(UNNAMED, cause_class, probability, parameters, text, what=what)
 
     def refused(self) -> dict[str, str]:
         """Return why terms are not claimed, by name."""
@@ -181,14 +175,17 @@ class ForceDiagnosis:
         if why := self._loose_mass():
             reasons["mass_kg"] = why
         for item in self.singles:
-            name = item.groups[0].name
             if set(item.ids) & set(self.verdict_.probabilities):
                 continue
-            taken = 1.0 - item.rms_n**2 / self.plain.rms_n**2
-            text = f"removes {taken:.1%} of the held-out squares, {gain_in_errors(item, self.plain):.1f} standard errors"
+            share, errors = (
+                1.0 - item.rms_n**2 / self.plain.rms_n**2,
+                gain_in_errors(item, self.plain),
+            )
+            text = f"removes {share:.1%} of the held-out squares, {errors:.1f} standard errors"
             if not item.physical():
-                text = f"{item.size_of(item.groups[0])[0]:.3g} has a sign that is not physical, or includes zero"
-            reasons[name] = f"not claimed: {text}"
+                value, _deviation = item.size_of(item.groups[0])
+                text = f"{value:.3g} has a sign that is not physical, or includes zero"
+            reasons[item.groups[0].name] = f"not claimed: {text}"
         return reasons
 
     def findings(self) -> list[str]:
@@ -203,14 +200,11 @@ class ForceDiagnosis:
     @property
     def gain(self) -> Gain:
         """What the leader explains, on groups of strokes held out."""
+        plain, leader = self.plain, self.leader
         channel = "torque_n_m" if self.record.units else "force_n"
-        leader = self.leader
-        return Gain(
-            (f"every group of {self.record.held_out} in turn",),
-            {channel: (self.plain.rms_n, leader.rms_n, leader.noise_n)},
-            self.plain.over_noise,
-            leader.over_noise,
-        )
+        files = (f"every group of {self.record.held_out} in turn",)
+        rms = {channel: (plain.rms_n, leader.rms_n, leader.noise_n)}
+        return Gain(files, rms, plain.over_noise, leader.over_noise)
 
     def detectable(self) -> list[dict[str, Any]]:
         """Return the smallest size of each cause that would have gained enough and exceeded its own error."""
@@ -283,13 +277,11 @@ def diagnose_motion(record: Recorded) -> ForceDiagnosis:
 
 def _described(bank: Bank, leader: ForceFit, smooth: Sequence[TermGroup]) -> tuple[str, str, float]:
     """Return what the leader's residual depends on, its class, and the share of its squares."""
-    descriptions = []
-    for group in smooth:
-        item = bank.attempt((*leader.groups, group))
-        share = 1.0 - item.rms_n**2 / leader.rms_n**2
-        descriptions.append((group.name, group.cause_class, share))
-    name, cause_class, share = max(descriptions, key=lambda entry: entry[2])
-    return name, cause_class if share >= LIMITS.min_described_share else "mechanics", share
+    rms_n = [bank.attempt((*leader.groups, group)).rms_n for group in smooth]
+    best = int(np.argmin(rms_n))
+    share = 1.0 - rms_n[best] ** 2 / leader.rms_n**2
+    cause_class = smooth[best].cause_class if share >= LIMITS.min_described_share else "mechanics"
+    return smooth[best].name, cause_class, share
 
 
 def _is_robust(bank: Bank, leader: ForceFit, group: TermGroup) -> bool:
@@ -300,21 +292,21 @@ def _is_robust(bank: Bank, leader: ForceFit, group: TermGroup) -> bool:
     thin = slice(None, None, max(1, len(bank.target) // 5000))
     cause_column = bank.columns[thin, group.columns[0]]
     others = tuple(item for item in leader.groups if item is not group)
-    own_class, foreign = [leader], list[ForceFit]()
+    of_class, foreign = [leader], list[ForceFit]()
     for other in bank.groups:
         if other.name in leader.names:
             continue
         described = bank.columns[thin][:, bank.columns_of([other])]
         if difference(np.linalg.qr(described)[0], cause_column) < 0.5:
             alike = other.cause_class == group.cause_class
-            (own_class if alike else foreign).append(bank.attempt((*others, other)))
+            (of_class if alike else foreign).append(bank.attempt((*others, other)))
             continue
         item = bank.attempt((*leader.groups, other))
         value, deviation = item.size_of(group)
         ratio, most = value / leader.size_of(group)[0], LIMITS.max_value_ratio
         if not 1.0 / most < ratio < most or abs(value) < 2.0 * deviation:
             return False
-    best = min(own_class, key=lambda item: item.rms_n)
+    best = min(of_class, key=lambda item: item.rms_n)
     return all(gain_in_errors(item, best) < LIMITS.min_standard_errors for item in foreign)
 
 
@@ -345,7 +337,6 @@ def _doubts(bank: Bank, plain: ForceFit, delay: str) -> list[str]:
 def _friction(bank: Bank, groups: Sequence[TermGroup]) -> str:
     """Return what is not physical about unbounded friction and mass, empty if nothing is: a reversed sign reverses both."""
     speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
-    size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
     values, without = bank.unbounded(groups)
 
     def combined(weights: dict[str, float]) -> tuple[float, float]:
@@ -353,18 +344,19 @@ def _friction(bank: Bank, groups: Sequence[TermGroup]) -> str:
         parts, errors = values[: len(shares)], (without - values)[:, : len(shares)]
         return float(shares @ parts), float(jackknife(errors @ shares))
 
-    (power, spread), (mass, mass_spread) = combined(size), combined({"mass_kg": 1.0})
+    sizes = {"coulomb_n": float(np.mean(speed)), VISCOUS: float(np.mean(speed**2))}
+    (power, spread), (mass, mass_spread) = combined(sizes), combined({"mass_kg": 1.0})
     drives, negative = power < -2.0 * spread, mass < -2.0 * mass_spread
     if not drives and not (negative and power < 2.0 * spread):
         return ""
-    kg = bank.record.units.get("kg", "kg")
+    friction = f"friction would drive the body ({-power:.3g} W)"
+    mass_text = f"{mass:.3g} {bank.record.units.get('kg', 'kg')}"
     if drives and mass > 2.0 * mass_spread:
         return (
-            f"friction would drive the body ({-power:.3g} W), with a mass of {mass:.3g} {kg}: other forces "
-            "act on it (pressure, gravity, a drive that is not recorded?), or the driving force is not all of it"
+            f"{friction}, with a mass of {mass_text}: other forces act on it (pressure, gravity, a "
+            "drive that is not recorded?), or the driving force is not all of it"
         )
-    odd = [f"friction would drive the body ({-power:.3g} W)"] if drives else []
-    odd += [f"the mass would be {mass:.3g} {kg}"] if negative else []
+    odd = [friction] * drives + [f"the mass would be {mass_text}"] * negative
     return (
         f"{' and '.join(odd)}: the sign of the driving force or of the position is reversed "
         "(state scale = -1), or other forces act"

@@ -117,9 +117,9 @@ class ForceFit(Explanation):
     def physical(self) -> bool:
         """Return whether the causes have physical signs and exclude zero."""
         for group in self.groups:
-            value, deviation = self.size_of(group)
             if group.form is None:
                 continue
+            value, deviation = self.size_of(group)
             if abs(value) < 2.0 * deviation or (group.form.sign and value < 0.0):
                 return False
             if group.form.parameter == VISCOUS and VISCOUS in self.body:  # a part of it
@@ -178,11 +178,10 @@ class Bank:
             VISCOUS: raw.speed_m_s[rows],
             "offset_n": np.ones(np.count_nonzero(rows)),
         }
-        if free_mass:
-            table["mass_kg"] = raw.acceleration_m_s2[rows]
-        noise = record.position_sd_m * record.gain_of(2)
-        if free_mass and np.std(table["mass_kg"]) < LIMITS.min_standard_errors * noise:
-            del table["mass_kg"]
+        mass, noise = raw.acceleration_m_s2[rows], record.position_sd_m * record.gain_of(2)
+        if free_mass and np.std(mass) >= LIMITS.min_standard_errors * noise:
+            table["mass_kg"] = mass
+        elif free_mass:
             self.missing["mass_kg"] = (
                 "not determined: the acceleration stays within its noise; faster strokes would determine it"
             )
@@ -202,18 +201,19 @@ class Bank:
         return tuple(determined)
 
     def _add_term(self, name: str, term: Term, raw: Motion) -> None:
-        if term.form.needs_pressure and raw.pressure_pa is None:
+        record, form = self.record, term.form
+        if form.needs_pressure and raw.pressure_pa is None:
             return
         before = len(self._columns)
-        for shape in term.form.shapes(raw):
-            column = self.record.filtered(term.form.feature(raw, shape))[self.record.judged]
+        for shape in form.shapes(raw):
+            column = record.filtered(form.feature(raw, shape))[record.judged]
             if difference(self._base, column) >= LIMITS.min_column_share:
                 if name == "stiffness_cubic":  # whose middle need not be that of the travel
-                    square = self.record.filtered(centred(raw) ** 2)[self.record.judged]
+                    square = record.filtered(centred(raw) ** 2)[record.judged]
                     column = np.column_stack([column, square])
-                self._add(name, term.id, term.cause_class, term.form, column)
+                self._add(name, term.id, term.cause_class, form, column)
         if len(self._columns) == before:
-            what = "pressure" if term.form.needs_pressure else "motion"
+            what = "pressure" if form.needs_pressure else "motion"
             self.missing[name] = (
                 f"not judged: cannot be distinguished from the plain body here; strokes with other {what} would show it"
             )
@@ -267,11 +267,12 @@ class Bank:
         free = jackknife(without - values)
         # mass and friction are not negative: what comes out so is left out
         kept = list(range(len(picked)))
-        while True:
-            signed = [k for k in kept if k < len(self.body) and self.body[k] in POSITIVE]
-            worst = min(signed, key=lambda k: values[k], default=-1)
-            if worst < 0 or values[worst] >= 0.0:
+        signed = [k for k, name in enumerate(self.body) if name in POSITIVE]
+        while signed:
+            worst = min(signed, key=lambda k: values[k])
+            if values[worst] >= 0.0:
                 break
+            signed.remove(worst)
             kept.remove(worst)
             values, without = np.zeros_like(values), np.zeros_like(without)
             values[kept], without[:, kept] = solved(grams[:, kept][:, :, kept], sides[:, kept])
@@ -281,14 +282,9 @@ class Bank:
             + np.einsum("fi,fij,fj->f", without, grams, without)
         )
         scale = self.scale[picked]
-        return ForceFit(
-            tuple(groups),
-            values / scale,
-            np.where(values == 0.0, free, jackknife(without - values)) / scale,
-            np.maximum(squares, 0.0),
-            len(self.target),
-            self.body,
-        )
+        deviations = np.where(values == 0.0, free, jackknife(without - values)) / scale
+        state = values / scale, deviations, np.maximum(squares, 0.0)
+        return ForceFit(tuple(groups), *state, len(self.target), self.body)
 
     def unbounded(
         self, groups: Sequence[TermGroup], rows: NDArray[np.bool_] | None = None
@@ -339,13 +335,12 @@ class Bank:
     def calibrate(self, tried: Sequence[ForceFit]) -> None:
         """State the noise: of the channels through the best balance, and the scatter of strokes."""
         best = min(tried, key=lambda item: item.rms_n)
-        # a residual of 1e-3 of the driving force is explained: no model of a body is better; Coulomb
-        # friction of a healthy one may vary by 5 % from stroke to stroke
         stated = self.record.body.mass_kg
         mass = best.value("mass_kg")[0] if "mass_kg" in self.body else (stated or 0.0)
         viscous = best.value(VISCOUS)[0] if VISCOUS in self.body else 0.0
-        noise = self.record.balance_sd_n(mass, viscous)
-        noise = max(noise, 1e-3 * float(np.sqrt(np.mean(self.target**2))), 1e-300)
+        # a residual of 1e-3 of the driving force is explained: no model of a body is better
+        least = 1e-3 * float(np.sqrt(np.mean(self.target**2)))
+        noise = max(self.record.balance_sd_n(mass, viscous), least, 1e-300)
         correlated = max(1.0, 2.0 * np.pi**0.5 * self.record.width / self.record.stride)
         sizes = self._sizes
         for item in tried:
@@ -353,6 +348,7 @@ class Bank:
             means = self._means[:, -1] - self._means[:, picked] @ (item.values * self.scale[picked])
             spread = float(np.average(means**2 - noise**2 * correlated / sizes, weights=sizes))
             coulomb = item.value("coulomb_n")[0] if "coulomb_n" in self.body else 0.0
+            # Coulomb friction of a healthy body may vary by 5 % from stroke to stroke
             scatter = min(max(spread, 0.0) ** 0.5, 0.05 * max(coulomb, 0.0))
             item.noise_n = noise
             item.expected_n = float(np.hypot(noise, scatter))

@@ -37,35 +37,31 @@ def _speed_figure(diagnosis: ForceDiagnosis) -> Figure:
     speeds = diagnosis.record.raw.speed_m_s[diagnosis.record.judged]
     order = np.argsort(speeds, kind="stable")
     drawn = order[np.linspace(0, len(order) - 1, min(4000, len(order))).astype(int)]
-    dots = [
-        Series(label, speeds[drawn], f[drawn], role, "dots")
-        for label, f, role in _models(diagnosis)
-    ]
+    models = _models(diagnosis)
+    dots = [Series(label, speeds[drawn], f[drawn], role, "dots") for label, f, role in models]
     return Figure([Stack("speed, m/s", [Panel("Force", diagnosis.unit, dots, height=320)])])
 
 
 def _time_figure(diagnosis: ForceDiagnosis) -> Figure:
-    record = diagnosis.record
+    record, bank, unit = diagnosis.record, diagnosis.bank, diagnosis.unit
     rows = np.flatnonzero(record.judged)
     x = np.asarray(rows * record.step_s, dtype=np.float64)
     lines = [
         Series(label, x, force, role, dashed=role == "after")
         for label, force, role in _models(diagnosis)
     ]
-    panels = [Panel("Force, without inertia", diagnosis.unit, lines, height=220)]
+    panels = [Panel("Force, without inertia", unit, lines, height=220)]
+    residual = bank.target - bank.model_n(diagnosis.leader)
     signals: list[tuple[str, str, Floats]] = [
-        (
-            "Residual, of what is claimed",
-            diagnosis.unit,
-            diagnosis.bank.target - diagnosis.bank.model_n(diagnosis.leader),
-        ),
+        ("Residual, of what is claimed", unit, residual),
         ("Speed", "m/s", record.raw.speed_m_s[rows]),
         ("Position", "m", record.raw.position_m[rows]),
     ]
     if record.raw.pressure_pa is not None:
         signals.append(("Pressure", "Pa", record.raw.pressure_pa[rows]))
-    for title, unit, values in signals:
-        panels.append(Panel(title, unit, [Series("measured", x, values, "truth")], height=120))
+    for title, axis_unit, values in signals:
+        line = Series("measured", x, values, "truth")
+        panels.append(Panel(title, axis_unit, [line], height=120))
     return Figure([Stack("time, s", panels)])
 
 
@@ -73,22 +69,16 @@ def write_page(diagnosis: ForceDiagnosis, folder: Path, campaign: str) -> None:
     """Write report.html and its figure."""
     verdict = diagnosis.verdict
     causes = [] if diagnosis.doubts else diagnosis.causes()
-    head = Head(
-        command="diagnose",
-        name=diagnosis.record.name,
-        verdict=verdict,
-        good=verdict == "consistent",
-        tiles=[
-            (f"{diagnosis.plain.over_noise:.3g}", "residual over noise, plain body"),
-            (f"{diagnosis.leader.over_noise:.3g}", "of what is claimed"),
-            (f"{diagnosis.error(diagnosis.leader):.2%}", "of the driving force"),
-            *((f"{cause.probability:.2f}", f"probability of {cause.id}") for cause in causes[:3]),
-        ],
-        again=f"opc4 diagnose {campaign}",
-    )
+    tiles = [
+        (f"{diagnosis.plain.over_noise:.3g}", "residual over noise, plain body"),
+        (f"{diagnosis.leader.over_noise:.3g}", "of what is claimed"),
+        (f"{diagnosis.error(diagnosis.leader):.2%}", "of the driving force"),
+        *((f"{cause.probability:.2f}", f"probability of {cause.id}") for cause in causes[:3]),
+    ]
+    good, again = verdict == "consistent", f"opc4 diagnose {campaign}"
     page = render(
         "force.html",
-        head,
+        Head("diagnose", diagnosis.record.name, verdict, good, tiles, again),
         plots(_time_figure(diagnosis), repeated=False),
         diagnosis=diagnosis,
         detectability=DETECTABILITY,

@@ -137,9 +137,8 @@ class Recorded:
     def balance_sd_n(self, mass: float, viscous: float) -> float:
         """Return the standard deviation of the noise of a filtered balance of forces [N]."""
         w = [kernel(self.width, order) / self.step_s**order for order in range(3)]
-        position = float(np.linalg.norm(mass * w[2] + viscous * w[1]))
-        force = float(np.linalg.norm(w[0]))
-        return float(np.hypot(force * self.force_sd_n, position * self.position_sd_m))
+        position = float(np.linalg.norm(mass * w[2] + viscous * w[1])) * self.position_sd_m
+        return float(np.hypot(float(np.linalg.norm(w[0])) * self.force_sd_n, position))
 
 
 def description(path: str | Path) -> Path:
@@ -218,18 +217,19 @@ def read_motion(path: str | Path) -> Recorded:
 def _signals(record: Record, body: Body) -> Floats:
     """Return position, driving force, pressure (NaN without) and recorded force of a record: [4, n]."""
     path = record.path
-    position = next((record[name] for name in ("position_m", "angle_rad") if name in record), None)
+    position, force = (
+        next((record[name] for name in names if name in record), None)
+        for names in (("position_m", "angle_rad"), ("force_n", "torque_n_m"))
+    )
     if position is None:
         raise InputError(f"{path}: no position_m; expected position and a driving force")
-    force = next((record[name] for name in ("force_n", "torque_n_m") if name in record), None)
     areas = {"pressure_pa": body.piston_area_m2, "pressure_2_pa": body.area_2_m2}
     for name, area in areas.items():
         if area and name not in record:
             raise InputError(f"{path}: no {name}, whose area is stated in [body]")
     if force is None and not any(areas.values()):
-        raise InputError(
-            f"{path}: no force_n, and no pressure_pa with piston_area_m2; expected a driving force"
-        )
+        what = "no force_n, and no pressure_pa with piston_area_m2"
+        raise InputError(f"{path}: {what}; expected a driving force")
     recorded = np.zeros(len(record)) if force is None else force
     driving = recorded + sum(area * record[name] for name, area in areas.items() if area)
     if len(record) < FEWEST_SAMPLES:
@@ -280,8 +280,8 @@ def _judged(
     counts = [part.shape[1] for part in parts]
     starts = np.cumsum([0, *counts[:-1]])
     smooth_s = rig.body.smooth_s
-    joint = _joint_noise(noise, counts)
-    width = _width(parts, joint[1]) if smooth_s is None else max(1.0, smooth_s / step)
+    position_sd = _joint_noise(noise, counts)[1]
+    width = _width(parts, position_sd) if smooth_s is None else max(1.0, smooth_s / step)
     x, f, p, recorded_n = np.concatenate(parts, axis=1)
     v, a = (
         np.concatenate([smoothed(part[0], width, order) for part in parts]) / step**order
@@ -300,46 +300,45 @@ def _judged(
     if 3 * np.count_nonzero(away) > np.count_nonzero(judged):
         judged = away
     if np.count_nonzero(judged) < 0.5 * FEWEST_SAMPLES:
-        raise InputError(
-            f"{rig.name}: position_m: hardly moves, or slow_m_s or smooth_s of [body] is too large; expected strokes"
-        )
+        why = "hardly moves, or slow_m_s or smooth_s of [body] is too large"
+        raise InputError(f"{rig.name}: position_m: {why}; expected strokes")
     # filtered samples next to each other say the same
     stride = max(1, int(0.6 * width))
     judged &= np.arange(len(judged)) % stride == 0
     stroke = _strokes(v, moving, starts)
     kept = np.unique(stroke[judged])
-    held_out = "strokes" if len(kept) >= FEWEST_STROKES else "blocks of time"
-    if held_out == "strokes":
+    order, count, held_out = np.arange(len(x)), len(x), "blocks of time"
+    if len(kept) >= FEWEST_STROKES:
+        held_out = "strokes"
         pairs = len(kept) >= 2 * FEWEST_STROKES  # there and back
         order = np.searchsorted(kept, stroke) // (2 if pairs else 1)
         count = int(order[judged].max()) + 1
-    else:
-        order, count = np.arange(len(x)), len(x)
     folds = 24  # at most
     block = order * folds // max(folds, count)
     pressure = None if np.isnan(p).any() else p
-    raw = Motion(f, v, a, x, pressure, block.astype(np.int64))
+    force_sd, position_sd = _joint_noise(noise, np.add.reduceat(judged.astype(int), starts))
     return Recorded(
-        rig.name,
-        raw,
-        recorded_n,
-        starts,
-        judged,
-        stroke,
-        width,
-        step,
-        *_joint_noise(noise, np.add.reduceat(judged.astype(int), starts).tolist()),
-        held_out,
-        rig.body,
-        ROTARY if rotary else {},
-        tuple(findings),
-        tuple(doubts),
-        stride,
+        name=rig.name,
+        raw=Motion(f, v, a, x, pressure, block.astype(np.int64)),
+        recorded_n=recorded_n,
+        starts=starts,
+        judged=judged,
+        stroke=stroke,
+        width=width,
+        step_s=step,
+        force_sd_n=force_sd,
+        position_sd_m=position_sd,
+        held_out=held_out,
+        body=rig.body,
+        units=ROTARY if rotary else {},
+        findings=tuple(findings),
+        doubts=tuple(doubts),
+        stride=stride,
     )
 
 
 def _joint_noise(
-    noise: Sequence[tuple[float, float]], counts: Sequence[int]
+    noise: Sequence[tuple[float, float]], counts: Sequence[int] | NDArray[np.int64]
 ) -> tuple[float, float]:
     """Return the noise of force and position of parts that contribute so many samples."""
     force_sd, position_sd = np.sqrt(np.average(np.square(noise), axis=0, weights=counts))
@@ -351,11 +350,10 @@ def away_from_ends(
 ) -> NDArray[np.bool_]:
     """Return which of `count` samples [n] are the filter's reach and `steps` from the ends of their part."""
     reach = int(np.ceil(RADIUS * width)) + steps
-    rows, lengths = np.arange(count), np.diff(starts, append=count)
-    first = np.repeat(starts, lengths)
-    return np.asarray(
-        (rows >= first + reach) & (rows < first + np.repeat(lengths, lengths) - reach)
-    )
+    away = np.zeros(count, dtype=bool)
+    for first, last in zip(starts, [*starts[1:], count], strict=True):
+        away[first + reach : max(last - reach, 0)] = True
+    return away
 
 
 def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,8 +1,8 @@
 """Flow maps from fill and empty records of a resting volume (thesis 3.1.4).
 
 The pressure is differentiated, epsilon = V P' / (R alpha_m), and two polynomials a direction are
-fitted, joined smoothly, with their root at the supply and at the atmosphere.  What pressures alone
-can determine is the product alpha_m epsilon: alpha_m is taken from the parameter set, which the output says.
+fitted, joined smoothly, with their root at the supply and at the atmosphere. Pressures alone determine
+the product alpha_m epsilon: alpha_m is taken from the parameter set, which the output says.
 The largest volume is left out of the fit and predicted.
 """
 
@@ -52,6 +52,12 @@ class RestRecord:
     charging: bool
     supply_pa: float
 
+    @property
+    def smoothing(self) -> tuple[float, int]:
+        """Sampling step [s], and samples of the moving parabola."""
+        step = float(np.median(np.diff(self.time_s)))
+        return step, max(7, 2 * round(0.5 * SMOOTH_S / step) + 1)
+
 
 def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
     """Return all stretches of the campaign in which a chamber's volume and valve do not move."""
@@ -75,13 +81,13 @@ def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestReco
             switches = [(t * 1e-9, bool(u)) for t, which, u, _s in moves if which == index]
             edges = [0.0, *(t for t, _u in switches), float(time_s[-1])]
             states = [chamber in conditions.charged_before, *(u for _t, u in switches)]
-            for start, end, charging in zip(edges, edges[1:], states, strict=False):
+            for (start, end), charging in zip(itertools.pairwise(edges), states, strict=True):
                 inside = (time_s >= max(start + SETTLE_S, begin)) & (time_s <= end - 1e-4)
                 if charging and conditions.kind != "fixed":
                     inside &= time_s > _loose_until(record, time_s, chamber, inside) + WALK_S
                 pressure = record[column][inside]
                 if len(pressure) >= 60 and np.ptp(pressure) >= 0.3e5:
-                    name = f"{entry.file} {chamber} {'filling' if charging else 'emptying'}"
+                    name = f"{entry.file} {chamber} {DIRECTIONS[charging][0]}"
                     supply_pa = conditions.supply_pressure_pa
                     stretches.append(
                         RestRecord(name, time_s[inside], pressure, volume, charging, supply_pa)
@@ -113,34 +119,28 @@ def _resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> 
     return float(outer + p.area_p * (p.x_free + abs(position)) + p.area_s * abs(position))
 
 
-def _smoothing(record: RestRecord) -> tuple[float, int]:
-    """Return a record's sampling step [s] and the samples of the moving parabola."""
-    step = float(np.median(np.diff(record.time_s)))
-    return step, max(7, 2 * round(0.5 * SMOOTH_S / step) + 1)
-
-
 def _slope(record: RestRecord) -> tuple[Floats, Floats]:
     """Return pressure [Pa] and its rate [Pa/s], by a moving parabola; the ends are left out."""
     from scipy.signal import savgol_filter
 
-    step, window = _smoothing(record)
+    step, window = record.smoothing
     if len(record.pressure_pa) <= window + 4:
         return np.zeros(0), np.zeros(0)
+    inside = slice(window // 2, -(window // 2))
     smooth = savgol_filter(record.pressure_pa, window, 2)
     rate = savgol_filter(record.pressure_pa, window, 2, deriv=1, delta=step)
-    half = window // 2
-    return smooth[half:-half], rate[half:-half]
+    return smooth[inside], rate[inside]
 
 
 def _rate_misfit(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> float:
     """Return the mean square of measured minus predicted rate, both by `_slope`, over the gauge's noise in it."""
     from scipy.signal import savgol_coeffs
 
-    _smooth, measured = _slope(record)
+    measured = _slope(record)[1]
     if not len(measured):
         return 1.0
     predicted = replace(record, pressure_pa=_predict(record, parameters, campaign))
-    step, window = _smoothing(record)
+    step, window = record.smoothing
     weights = savgol_coeffs(window, 2, deriv=1, delta=step)
     noise_pa_s = nominal_noise(parameters)["pressure"].sd * float(np.linalg.norm(weights))
     return float(np.mean(((measured - _slope(predicted)[1]) / noise_pa_s) ** 2))
@@ -171,19 +171,17 @@ def two_polynomials(
     design[len(rows_near) :, near + 1 :] = rows_far
     target = np.concatenate([y[is_near], y[~is_near]])
 
-    def powers(at: float, degree: int, derivative: bool = False) -> Floats:
+    def powers(at: float, degree: int) -> Floats:
+        return at ** np.arange(degree + 1.0)
+
+    def slopes(at: float, degree: int) -> Floats:
         k = np.arange(degree + 1)
-        if derivative:
-            return np.where(k > 0, k * at ** np.maximum(k - 1, 0), 0.0)
-        return at ** k.astype(float)
+        return np.where(k > 0, k * at ** np.maximum(k - 1, 0), 0.0)
 
     conditions = [np.concatenate([powers(1.0, near), np.zeros(far + 1)])]
-    for derivative in (False, True):
-        one, two = (powers(split, degree, derivative) for degree in (near, far))
-        conditions.append(np.concatenate([one, -two]))
+    conditions += [np.concatenate([of(split, near), -of(split, far)]) for of in (powers, slopes)]
     # solve in the null space of the conditions (their right-hand sides are zero)
-    _u, _s, vt = np.linalg.svd(np.array(conditions))
-    basis = vt[3:].T
+    basis = np.linalg.svd(np.array(conditions))[2][3:].T
     scale = np.max(np.abs(y)) or 1.0
     reduced, *_ = np.linalg.lstsq(design @ basis, target / scale, rcond=None)
     full = (basis @ reduced * scale).tolist()
@@ -243,10 +241,8 @@ def _identify_direction(
     word, axis, alpha_m, section, joint, degrees = DIRECTIONS[charging]
     chosen = [r for r in records if r.charging == charging]
     if not chosen:
-        raise InputError(
-            f"{campaign.folder}: no record of {word} at rest; expected a resting volume filled "
-            "and emptied"
-        )
+        expected = "expected a resting volume filled and emptied"
+        raise InputError(f"{campaign.folder}: no record of {word} at rest; {expected}")
     largest = max(r.volume_m3 for r in chosen)
     fitted = [r for r in chosen if r.volume_m3 < 0.8 * largest] or chosen
     alpha = parameters.value(f"alpha.{alpha_m}")
@@ -265,19 +261,20 @@ def _identify_direction(
     fit = _evaluate(x, split, near, far)
     scatter = float(np.std(y - fit))
     band = 100.0 * scatter / float(np.mean(np.abs(y))) / max(1.0, (len(x) / 40) ** 0.5) * 1.96
+    count = counted(len(fitted), "record")
     source = (
-        f"identified from {counted(len(fitted), 'record')} of {word}, alpha_m {alpha:g} assumed; "
+        f"identified from {count} of {word}, alpha_m {alpha:g} assumed; "
         f"95 % band of the mean flow +-{band:.2f} %"
     )
     estimates = [
         ParameterEstimate(f"{section}.{key}", coefficients, None, None, source)
         for key, coefficients in (("c_low", near), ("c_high", far))
     ]
-    note = f"{word}: {counted(len(x), 'point')} from {counted(len(fitted), 'record')}, scatter {scatter:.2e}"
-    shown = np.argsort(x)[::7]
+    note = f"{word}: {counted(len(x), 'point')} from {count}, scatter {scatter:.2e}"
+    rows = np.argsort(x)[::7]
     lines = [
-        Series("measured", x[shown], y[shown], "measured", "dots"),
-        Series("two polynomials", x[shown], fit[shown], "after"),
+        Series("measured", x[rows], y[rows], "measured", "dots"),
+        Series("two polynomials", x[rows], fit[rows], "after"),
     ]
     panel = Panel("flow / reference pressure", "K kg/(s Pa)", lines, height=320)
     return estimates, note, Stack(axis, [panel], f"Flow, {word}", width=6.4)
@@ -301,23 +298,14 @@ def _checks(records: list[RestRecord], model: ParameterSet, campaign: Campaign) 
 
 def _predict(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> Floats:
     """Return the pressure of a resting record by a set's maps, from its first (smoothed) value."""
+    supply_pa, atmosphere_pa = record.supply_pa, campaign.atmosphere_pa
     p = pack(
-        parameters,
-        FIXED,
-        supply_pressure_pa=record.supply_pa,
-        atmosphere_pa=campaign.atmosphere_pa,
-        load=Load(),
+        parameters, FIXED, supply_pressure_pa=supply_pa, atmosphere_pa=atmosphere_pa, load=Load()
     )
     out = np.zeros(len(record.time_s))
+    volumes = np.full(len(out), record.volume_m3)
     head = np.polyfit(record.time_s[:30] - record.time_s[0], record.pressure_pa[:30], 2)
-    position = 1.0 if record.charging else 0.0
-    chamber_along(
-        record.time_s,
-        np.full(len(out), record.volume_m3),
-        float(head[-1]),
-        np.array([[0.0, position, 0.0]]),
-        p.array,
-        flow_coefficients(parameters),
-        out,
-    )
+    valve = np.array([[0.0, 1.0 if record.charging else 0.0, 0.0]])
+    maps = flow_coefficients(parameters)
+    chamber_along(record.time_s, volumes, float(head[-1]), valve, p.array, maps, out)
     return out

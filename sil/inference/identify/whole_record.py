@@ -86,24 +86,24 @@ def identify_records(
 
 def usable_strokes(campaign: Campaign, method: Method) -> list[tuple[CampaignStroke, Record]]:
     """Return the fixed piston's strokes, unloaded or with the compressible damper; raises InputError for too few."""
+    load = "damper" if method.is_damper else "none"
     strokes = []
     for entry in campaign.strokes:
         c = entry.conditions
-        if c.kind != "fixed" or c.load != ("damper" if method.is_damper else "none"):
-            continue
-        if c.damper_model != "compressible" if method.is_damper else c.charged_before:
+        unsuited = c.damper_model != "compressible" if method.is_damper else c.charged_before
+        if c.kind != "fixed" or c.load != load or unsuited:
             continue
         record = campaign.record(entry)
         if all(name in record for name in method.columns) and (
             method.is_damper or np.ptp(record["position_m"]) > 0.003
         ):
             strokes.append((entry, record))
-    least = 1 if method.is_damper else 2
+    least, what = (1, "with compressible damper") if method.is_damper else (2, "without load")
     if len(strokes) < least:
-        what = "with compressible damper" if method.is_damper else "without load"
+        columns = ", ".join(method.columns)
         raise InputError(
             f"{campaign.folder}: {counted(len(strokes), 'stroke')} of the fixed piston {what} that "
-            f"moves, with {', '.join(method.columns)}; expected at least {least}"
+            f"moves, with {columns}; expected at least {least}"
         )
     return strokes
 
