@@ -7,9 +7,10 @@ Checked by: tests/unit/sil/inference/test_candidate.py
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,15 +148,14 @@ def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
     """Points to start a search from: the main parameter at several sizes, the others at rest."""
     main = parameters[0]
     rest = tuple(item.neutral for item in parameters[1:])
-    starts = []
+    values = []
     for sign in (1.0, -1.0) if main.sign == 0 else (float(main.sign),):
         for size in (0.15, 0.5, 1.5, 4.0):
-            value = main.neutral + sign * size * main.typical
             if main.sign == -1 and main.neutral == 1.0:
-                value = 1.0 / (1.0 + size * main.typical)
-            if main.low < value < main.high:
-                starts.append((value, *rest))
-    return tuple(starts)
+                values.append(1.0 / (1.0 + size * main.typical))
+            else:
+                values.append(main.neutral + sign * size * main.typical)
+    return tuple((value, *rest) for value in values if main.low < value < main.high)
 
 
 def candidates(has: Collection[Need]) -> list[Candidate]:
@@ -163,23 +163,15 @@ def candidates(has: Collection[Need]) -> list[Candidate]:
     usable: list[Candidate] = []
     compile_terms()
     for effect in CATALOGUE.values():
-        if effect.nonparametric:
-            continue
         fitted = [p for p in effect.parameters if p.fitted]
-        for variant in effect.variants:
-            if set(has) >= {*effect.needs, *variant.needs}:
-                free = tuple(p for p in fitted if p.name not in variant.fixed)
-                usable.append(
-                    Candidate(
-                        effect,
-                        variant.name,
-                        free,
-                        variant.starts or starts_of(free),
-                        variant.fixed,
-                        fills_table=variant.fills_table,
-                        prior=variant.prior,
-                    )
-                )
+        for variant in () if effect.nonparametric else effect.variants:
+            if not set(has) >= {*effect.needs, *variant.needs}:
+                continue
+            free = tuple(p for p in fitted if p.name not in variant.fixed)
+            item = Candidate(
+                effect, variant.name, free, variant.starts or starts_of(free), variant.fixed
+            )
+            usable.append(replace(item, fills_table=variant.fills_table, prior=variant.prior))
     return usable
 
 
@@ -189,14 +181,9 @@ def _term_starts(form: TermForm) -> Starts:
     shapes = [np.ones(form.count), rising, rising[::-1]]
     if is_categorical(form):
         shapes += list(np.eye(form.count))
-    curves = [np.zeros(form.count)]
-    curves += [
-        sign * size * form.typical * shape
-        for size in (0.5, 2.0, 6.0)
-        for shape in shapes
-        for sign in (1.0, -1.0)
-    ]
-    return tuple(tuple(float(value) for value in curve) for curve in curves)
+    rows = itertools.product((0.5, 2.0, 6.0), shapes, (1.0, -1.0))
+    curves = [sign * size * form.typical * shape for size, shape, sign in rows]
+    return tuple(tuple(curve.tolist()) for curve in (np.zeros(form.count), *curves))
 
 
 def is_categorical(form: TermForm) -> bool:

@@ -52,53 +52,55 @@ class Spread:
     @classmethod
     def of(cls, parameters: ParameterSet) -> Spread:
         """Return the spread of a parameter set: of its calibration, its data sheet, or `repeatability`."""
-        value = parameters.value
         is_cylinder = "cylinder.bore" in parameters
-        rows = [path for path in parameters if path.startswith("posterior.")]
-        unit: dict[str, float] = {}
-        root = np.zeros((0, 0))
+        names = {
+            path.rpartition(".")[2] for path in parameters if path.startswith("repeatability.")
+        }
+        sd = {name: parameters.value(f"repeatability.{name}") for name in names}
+        rows = {
+            path.partition(".")[2]: parameters.values(path)
+            for path in parameters
+            if path.startswith("posterior.")
+        }
+        root = posterior_root(list(rows.values()))
         if rows:
-            root = posterior_root([parameters.values(path) for path in rows])
-            sizes = np.sqrt(np.sum(root**2, axis=1)).tolist()
-            unit = dict(zip((path.partition(".")[2] for path in rows), sizes, strict=True))
+            unit = dict(zip(rows, np.sqrt(np.sum(root**2, axis=1)).tolist(), strict=True))
         elif is_cylinder:
             unit = {name: stated(parameters, name) for name in CYLINDER}
-            if value("cylinder.spring_rate") == value("cylinder.spring_preload") == 0.0:
+            springs = (parameters.value(f"cylinder.spring_{of}") for of in ("rate", "preload"))
+            if not any(springs):
                 del unit["spring"]
+        else:
+            delay, flow, volume = (
+                sd["unit_valve_delay_sd"],
+                sd["unit_flow_sd"],
+                sd["unit_volume_sd"],
+            )
+            unit = {
+                "friction": sd["unit_friction_sd"],
+                "rise": delay,
+                "fall": 3.0 * delay,
+                "flow_in": flow,
+                "flow_out": flow,
+                "volume_a": volume,
+                "volume_b": volume,
+            }
         if (
             is_cylinder
         ):  # not of the unit, but of the campaign: a calibration does not carry it over
             unit["supply"] = 0.01  # share, of the gauge that states it
-        delay = value("repeatability.unit_valve_delay_sd")
-        gauge_pa = value("repeatability.unit_gauge_offset_sd")
-        unit = unit or {
-            "friction": value("repeatability.unit_friction_sd"),
-            "rise": delay,
-            "fall": 3.0 * delay,
-            "flow_in": value("repeatability.unit_flow_sd"),
-            "flow_out": value("repeatability.unit_flow_sd"),
-            "volume_a": value("repeatability.unit_volume_sd"),
-            "volume_b": value("repeatability.unit_volume_sd"),
-        }
         full = np.diag(list(unit.values()))
         full[: len(root), : len(root)] = root
-        return cls(
-            unit=unit,
-            stroke={
-                "friction": value("repeatability.friction_sd"),
-                "rise": value("repeatability.valve_delay_sd"),
-                "fall": value("repeatability.valve_delay_sd"),
-                "supply": value("repeatability.supply_sd"),
-            },
-            offset={"position": 1e-4, "pressure": 2e3, "oil": 1e4}
-            if is_cylinder
-            else {
-                "position": value("repeatability.unit_pot_offset_sd"),
-                "pressure": gauge_pa,
-                "oil": 5.0 * gauge_pa,
-            },
-            root=full,
-        )
+        stroke = {
+            "friction": sd["friction_sd"],
+            "rise": sd["valve_delay_sd"],
+            "fall": sd["valve_delay_sd"],
+            "supply": sd["supply_sd"],
+        }
+        gauge_pa = 2e3 if is_cylinder else sd["unit_gauge_offset_sd"]
+        position_m = 1e-4 if is_cylinder else sd["unit_pot_offset_sd"]
+        offset = {"position": position_m, "pressure": gauge_pa, "oil": 5.0 * gauge_pa}
+        return cls(unit, stroke, offset, full)
 
     def size(self, name: str) -> float:
         """Return the standard deviation of a simulated quantity: of strokes, else of units."""

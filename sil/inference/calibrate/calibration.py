@@ -151,8 +151,6 @@ MIN_STROKES = 4
 MAX_RESIDUAL_RATIO = 4.0
 """Held-out rms over the noise up to which a model is good enough, its intervals widened by what it leaves.
 Cylinders with constant exponents left 6 to 9, and their leaks were 36 % too large."""
-MIN_SHRINKAGE = 0.9
-"""Posterior over prior deviation from which on the data do not determine a value."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +197,7 @@ class Calibration:
     @property
     def undetermined(self) -> tuple[str, ...]:
         """Quantities that the data do not determine."""
-        return tuple(n for n, _, after, before in self.changes if after > MIN_SHRINKAGE * before)
+        return tuple(n for n, _, after, before in self.changes if after > 0.9 * before)
 
     @property
     def scalars(self) -> dict[str, Calibrated]:

@@ -37,14 +37,6 @@ from sil.log_replay.recorded_shifts import LEAD_S, RecordedShift
 from sil.report.figure import MM, MS, Figure, Panel, Series, Span, Stack
 
 FEWEST_SHIFTS = 6
-ALIKE = 5.0
-"""Cost behind the likeliest fit up to which another one counts: among the kinks of pulses all are local."""
-KINKED = 1.5
-"""Factor on deviations by slopes, which kinks steepen: of 16 intervals of mass and linkage 11 held the truth without it."""
-SCANNED = 160
-"""Random quantities that are tried for each shift that was held out."""
-OF_GEARBOX = {"linkage": "truck.F_gearbox", "mass": "truck.m_gearbox"}
-DELAYS = {"rise": "valve.D_rise", "fall": "valve.D_fall"}
 
 
 @dataclass(frozen=True)
@@ -129,7 +121,8 @@ class _Estimate:
 def _alike(fits: Sequence[Fit]) -> list[Fit]:
     """Return the fits of a mounted actuator that the data cannot tell from the likeliest, that one first."""
     mounted = sorted((fit for fit in fits if fit.mounted), key=lambda fit: fit.cost)
-    return [fit for fit in mounted if fit.cost < mounted[0].cost + ALIKE]
+    # among the kinks of pulses all minima are local: up to 5 behind counts
+    return [fit for fit in mounted if fit.cost < mounted[0].cost + 5.0]
 
 
 def _estimates(fitter: Fitter, fits: Sequence[Fit]) -> dict[str, _Estimate]:
@@ -144,7 +137,8 @@ def _estimates(fitter: Fitter, fits: Sequence[Fit]) -> dict[str, _Estimate]:
         ends = []
         for fit in fits:
             assert fit.unit_sd is not None
-            half = 1.96 * min(1.0, KINKED * float(fit.unit_sd[column]))
+            # kinks steepen slopes: of 16 intervals 11 held the truth without the factor of 1.5
+            half = 1.96 * min(1.0, 1.5 * float(fit.unit_sd[column]))
             ends += [sd * (float(fit.unit[column]) + by) for by in (-half, half)]
         amount = sd * float(fits[0].unit[column])
         result[name] = _Estimate(amount, min(ends), max(ends), sd)
@@ -153,15 +147,19 @@ def _estimates(fitter: Fitter, fits: Sequence[Fit]) -> dict[str, _Estimate]:
 
 def _values(estimates: Mapping[str, _Estimate], sheet: ParameterSet) -> dict[str, Calibrated]:
     """Return by path what a fit makes of the data sheet, with 95 % intervals."""
+    of_gearbox = {"linkage": "truck.F_gearbox", "mass": "truck.m_gearbox"}
+    delays = {"rise": "valve.D_rise", "fall": "valve.D_fall"}
     values: dict[str, Calibrated] = {}
     for name, item in estimates.items():
         rows: list[dict[str, Number]] = []
         for size in (item.amount, item.low, item.high):
-            if (path := OF_GEARBOX.get(name)) is not None:
+            if (path := of_gearbox.get(name)) is not None:
                 rows.append({path: sheet.value(path) * exp(size)})
-            else:
-                moved = actuator_values(sheet, {name: size}, {LENGTH})
-                rows.append({p: v for p, v in moved.items() if _is_of(name, p)})
+                continue
+            moved = actuator_values(sheet, {name: size}, {LENGTH})
+            # which has both delays with any quantity
+            paths = {delays[name]} if name in delays else moved.keys() - delays.values()
+            rows.append({p: v for p, v in moved.items() if p in paths})
         for path, value in rows[0].items():
             if isinstance(value, tuple):
                 values[path] = Calibrated(value)
@@ -170,33 +168,27 @@ def _values(estimates: Mapping[str, _Estimate], sheet: ParameterSet) -> dict[str
     return values
 
 
-def _is_of(name: str, path: str) -> bool:
-    """Return whether a value is of this quantity: `actuator_values` returns both delays with any."""
-    return path == DELAYS[name] if name in DELAYS else path not in DELAYS.values()
-
-
 def _held_out(fitter: Fitter, fit: Fit, show: Show) -> HeldOut:
     """Return what the model leaves of shifts that it was not fitted to: only their loads and the supply of their trip are."""
     model, trips = fitter.model, trips_of(fitter.model.shifts)
     of_trip = {name for name in fitter.layout.at if name.startswith("supply_")}
     kept = [k for name, k in fitter.layout.at.items() if name not in {*of_trip, "supply"}]
     off, ratio = [], []
+
+    def part(which: np.ndarray) -> Fitter:
+        shifts = [model.shifts[k] for k in np.flatnonzero(which)]
+        return Fitter(ShiftModel(shifts, model.parameters, model.mounted, trips), fitter.noise_m)
+
     for fold in range(FOLDS):
         rows = np.arange(len(model)) % FOLDS == fold
-
-        def part(which: np.ndarray) -> Fitter:
-            shifts = [model.shifts[k] for k in np.flatnonzero(which)]
-            return Fitter(
-                ShiftModel(shifts, model.parameters, model.mounted, trips), fitter.noise_m
-            )
-
         training, rest = part(~rows), part(rows)
         trained = training.improved(replace(fit, each=fit.each[~rows]), FINE_M, 10)
         rng = np.random.default_rng(fold)
         # what is of a shift is free in any case: from where it is in the whole fit
         out = replace(trained, each=fit.each[rows], noise_factor=FIRST_FACTOR)
         for error_m in (MIDDLE_M, FINE_M, FINE_M):
-            out = rest.improved(rest.rescanned(out, error_m, rng, SCANNED), error_m, 8, kept=kept)
+            scanned = rest.rescanned(out, error_m, rng, 160)
+            out = rest.improved(scanned, error_m, 8, kept=kept)
         assert out.position_m is not None
         recorded = rest.model.recorded
         off.append(rest.off(out.position_m)[recorded])

@@ -36,14 +36,9 @@ DIFFERENCE = 0.05
 
 Moved = Callable[[str, float], Setup]
 
-USUAL_INTERNAL_RMS, SLOW_INTERNAL_RMS = 0.17, 0.7
-"""Rms of the reported position's residuals: the usual recorder's, and of what a slow one adds."""
 
 FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0.05}
 """Spread of the rms between clean campaigns, in addition to the one that counting gives."""
-
-SIMULATED = ("friction", "rise", "fall", "supply", "flow_in", "flow_out", "volume_a", "volume_b")
-"""Healthy quantities that a stroke must be simulated again for; a cylinder has further ones."""
 
 
 class CampaignModel(Problem):
@@ -59,7 +54,9 @@ class CampaignModel(Problem):
         kinds = {stroke.offset_of(c): c.kind for stroke in self.strokes for c in stroke.channels}
         self.offsets = tuple(sorted(kinds, key=lambda name: (kinds[name] != "position", name)))
         self.unit = tuple(spread.unit)
-        self.simulated = tuple(dict.fromkeys((*SIMULATED, *spread.unit)))
+        # what a stroke must be simulated again for; a cylinder has further quantities
+        flows = ("flow_in", "flow_out", "volume_a", "volume_b")
+        self.simulated = tuple(dict.fromkeys((*spread.stroke, *flows, *spread.unit)))
         self.scatter = tuple(spread.stroke)
         self.measured = [_standardised(stroke) for stroke in self.strokes]
         self.offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
@@ -159,9 +156,10 @@ class CampaignModel(Problem):
             spread = float(np.hypot(FLOOR_SPREAD[channel.kind], channel.noise.uncertainty))
             yield ChannelPart(channel.name, part, channel.floor, spread)
         if stroke.internal is not None:
+            # rms of residuals: 0.17 with the usual recorder, 0.7 of what a slow one adds
             usual = (INTERNAL_SD_M / stroke.internal.sd_m) ** 2
-            slow = float(np.sum(1.0 - usual)) * SLOW_INTERNAL_RMS**2
-            floor = float(np.sum(usual)) * USUAL_INTERNAL_RMS**2 + slow
+            slow = float(np.sum(1.0 - usual)) * 0.7**2
+            floor = float(np.sum(usual)) * 0.17**2 + slow
             spread = FLOOR_SPREAD["internal"] + 0.5 * slow / floor
             yield ChannelPart("position_internal_m", residual[stroke.size :], floor, spread)
 

@@ -6,6 +6,7 @@ Checked by: tests/unit/sil/inference/campaign/test_noise.py
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from math import comb
 
 import numpy as np
@@ -15,8 +16,6 @@ from sil.campaign.campaign import Floats, Record
 from sil.inference.campaign.observations import Noise, StrokeObservation, kind_of
 
 ORDER = 3
-DIFFERENCED = 7
-"""Samples of a sixth difference."""
 AGREES = {"position": 0.45, "pressure": 0.03, "oil": 0.05}
 """An estimate this near to what is known already, standard errors aside, does not replace it."""
 
@@ -29,13 +28,12 @@ def noise_of(values: Floats, time_s: Floats | None = None) -> float:
     second quietest, within what chance allows.
     """
     instants = np.arange(float(len(values))) if time_s is None else time_s
-    apart = np.lib.stride_tricks.sliding_window_view(instants, DIFFERENCED) / np.ptp(instants)
-    apart = (apart[:, :, None] - apart[:, None, :]) * len(instants) + np.eye(DIFFERENCED)
+    windows = partial(np.lib.stride_tricks.sliding_window_view, window_shape=7)
+    apart = windows(instants) / np.ptp(instants)
+    apart = (apart[:, :, None] - apart[:, None, :]) * len(instants) + np.eye(7)
     weights = 1.0 / np.prod(apart, axis=2)
     weights /= np.linalg.norm(weights, axis=1)[:, None]
-    differences = np.sum(
-        weights * np.lib.stride_tricks.sliding_window_view(values, DIFFERENCED), axis=1
-    )
+    differences = np.sum(weights * windows(values), axis=1)
     robust = float(np.median(np.abs(differences))) / 0.6745
     window = np.hanning(len(values))
     power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)

@@ -31,12 +31,6 @@ from sil.report.figure import Figure, Panel, Series, Stack
 Polynomial = tuple[float, ...]
 """Ascending coefficients."""
 
-SMOOTH_S = 0.004
-HELD_PA = 0.5e5
-"""A piston pressed against its collar by more than this stays there."""
-
-WALK_S = 0.015
-"""Time in which a pressed piston reaches its collar."""
 
 SETTLE_S = 0.0015
 
@@ -54,9 +48,9 @@ class RestRecord:
 
     @property
     def smoothing(self) -> tuple[float, int]:
-        """Sampling step [s], and samples of the moving parabola."""
+        """Sampling step [s], and samples of the moving parabola, over 4 ms."""
         step = float(np.median(np.diff(self.time_s)))
-        return step, max(7, 2 * round(0.5 * SMOOTH_S / step) + 1)
+        return step, max(7, 2 * round(0.5 * 0.004 / step) + 1)
 
 
 def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
@@ -84,7 +78,8 @@ def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestReco
             for (start, end), charging in zip(itertools.pairwise(edges), states, strict=True):
                 inside = (time_s >= max(start + SETTLE_S, begin)) & (time_s <= end - 1e-4)
                 if charging and conditions.kind != "fixed":
-                    inside &= time_s > _loose_until(record, time_s, chamber, inside) + WALK_S
+                    # a pressed piston reaches its collar within 15 ms
+                    inside &= time_s > _loose_until(record, time_s, chamber, inside) + 0.015
                 pressure = record[column][inside]
                 if len(pressure) >= 60 and np.ptp(pressure) >= 0.3e5:
                     name = f"{entry.file} {chamber} {DIRECTIONS[charging][0]}"
@@ -101,7 +96,8 @@ def _loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[n
     for name in ("B", "F") if driving == "N" else ("N",):
         column = f"pressure_{name}_pa"
         if column in record:
-            free |= record[f"pressure_{driving}_pa"] - record[column] < HELD_PA
+            # a piston pressed against its collar by more than 0.5 bar stays there
+            free |= record[f"pressure_{driving}_pa"] - record[column] < 0.5e5
     rows = np.flatnonzero(free & inside)
     return float(time_s[rows[-1]]) if len(rows) else -1.0
 
