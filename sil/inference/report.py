@@ -31,10 +31,6 @@ class Interval:
         """Return the interval of a normally distributed estimate."""
         return cls(value, value - 1.96 * deviation, value + 1.96 * deviation, unit)
 
-    def contains(self, value: float) -> bool:
-        """Return whether a value is within the interval."""
-        return self.low <= value <= self.high
-
     def __str__(self) -> str:
         unit = "" if self.unit == "-" else f" {self.unit}"
         return f"{self.value:.4g}{unit} [{self.low:.4g}, {self.high:.4g}]"

@@ -217,7 +217,6 @@ class Screening:
         """Return the value that would gain so much on one side, from a first difference to neutral."""
         main, others = score.candidate.parameters[0], score.start[1:]
         too_small, enough, by = 0.0, inf, abs(first)
-        value = main.neutral + first
         for k in range(12):
             value = main.neutral + copysign(by, first)
             if not main.low <= value <= main.high:
@@ -227,16 +226,14 @@ class Screening:
                 return None
             ratio = min(max(sqrt(2.0 * gain / square), 0.1), 10.0)
             if abs(ratio - 1.0) <= 0.15:
-                break
+                return value
             too_small, enough = (by, enough) if ratio > 1.0 else (too_small, by)
             by *= ratio
             if (k % 2 or not too_small < by < enough) and 0.0 < too_small < enough < inf:
                 by = sqrt(too_small * enough)
-        else:  # of two values that stay apart, the one that would be noticed
-            if not 0.0 < too_small < enough < inf:  # what is noticed is not a matter of this size
-                return None
-            return main.neutral + copysign(enough, first)
-        return value
+        # of two values that stay apart, the one that would be noticed, if that is a matter of this size
+        is_between = 0.0 < too_small < enough < inf
+        return main.neutral + copysign(enough, first) if is_between else None
 
 
 def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:

@@ -140,16 +140,12 @@ def judge(
             fit.candidates, start=fit.shared, use=held_out, iterations=4, freeze=frozen
         )
 
-    judged = []
-    new = [
-        f for f in fits if held_out and (f.name not in evaluated or evaluated[f.name][0] is not f)
-    ]
+    new = [f for f in fits if held_out and evaluated.get(f.name, (None,))[0] is not f]
     for fit, answer in zip(new, fitted(fitter, work, new, workers), strict=True):
         evaluated[fit.name] = fit, answer
+    judged = []
     for fit in fits:
         held_out_fit = evaluated[fit.name][1] if held_out else None
-        if held_out and held_out_fit is None:
-            continue
         score, both = 0.5 * fit.evidence(), fit
         score -= sum(math.log(item.prior) for item in fit.candidates)
         if held_out_fit is not None:
@@ -159,8 +155,10 @@ def judge(
             stroke = fit.stroke.copy()
             stroke[list(held_out)] = held_out_fit.stroke[list(held_out)]
             both = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
-        held_out_misfit, whole = misfit(model, held_out_fit or fit), misfit(model, both)
-        judged.append(Judged(fit, held_out_fit, both, score, held_out_misfit, whole))
+        elif held_out:
+            continue
+        misfits = misfit(model, held_out_fit or fit), misfit(model, both)
+        judged.append(Judged(fit, held_out_fit, both, score, *misfits))
     return sorted(judged, key=lambda item: item.score)
 
 
@@ -175,13 +173,9 @@ def weigh(
     leader = min(hypotheses, key=lambda item: item.score)
     error = 0.5 * leader.whole.beyond
     nu = LIMITS.effective_observations
-    weights = np.array(
-        [
-            np.log(LIMITS.pair_prior if len(item.ids) > 1 else 1.0)
-            - 0.5 * nu * np.log1p(2.0 * (item.score - leader.score + error) / nu)
-            for item in hypotheses
-        ]
-    )
+    behind = np.array([item.score - leader.score + error for item in hypotheses])
+    priors = [LIMITS.pair_prior if len(item.ids) > 1 else 1.0 for item in hypotheses]
+    weights = np.log(priors) - 0.5 * nu * np.log1p(2.0 * behind / nu)
     weights = np.exp(weights - weights.max())
     unnamed = LIMITS.unnamed_odds(_unexplained_share(leader, healthy))
     if UNNAMED in leader.ids and len(leader.ids) > 1:
@@ -252,12 +246,10 @@ def _sizes_of(fit: FitResult, of: Floats) -> Iterator[tuple[Candidate, dict[str,
 def acceptable(item: Judged) -> bool:
     """Return whether a hypothesis' main parameters have physical signs and exclude neutral."""
     fit = item.training
-    effects = fit.layout.effect_slice
-    deviation = np.diag(fit.covariance)[effects] ** 0.5
-    sizes = _sizes_of(fit, fit.scaled / deviation)
+    deviation = np.diag(fit.covariance)[fit.layout.effect_slice] ** 0.5
     return all(
         candidate.physical(values) and size >= LIMITS.min_deviations
-        for candidate, values, size in sizes
+        for candidate, values, size in _sizes_of(fit, fit.scaled / deviation)
     )
 
 
@@ -320,22 +312,16 @@ def decide(judged: Sequence[E], blocks: int) -> Verdict[E]:
     weighed = weigh(hypotheses, healthy)
     probabilities = by_cause(weighed)
     groups = _rivals_of(leader, hypotheses, probabilities)
+    rivals = {UNNAMED, *(name for group in groups for name in group)}
     stated = {
         name: p
         for name, p in probabilities.items()
-        if name in leader.ids
-        or (
-            p >= LIMITS.min_rival_probability
-            and (name == UNNAMED or any(name in group for group in groups))
-        )
+        if name in leader.ids or (p >= LIMITS.min_rival_probability and name in rivals)
     }
-    conclusion = Conclusion(
-        {name: stated[name] for name in leader.ids},
-        probabilities.get(UNNAMED, 0.0),
-        has_rivals=bool(groups),
-    )
+    claimed = {name: stated[name] for name in leader.ids}
+    unnamed = probabilities.get(UNNAMED, 0.0)
+    kind = kind_of(Conclusion(claimed, unnamed, has_rivals=bool(groups)))
     gains = {name: _gains_of(leader, judged, name)[0] for name in leader.ids}
-    kind = kind_of(conclusion)
     return Verdict(kind, leader, healthy, leader.ids, stated, weighed, gains, groups)
 
 

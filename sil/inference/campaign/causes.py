@@ -88,10 +88,11 @@ def _without_a_name(
 
 def includes_neutral(candidate: Candidate, parameters: Mapping[str, Interval]) -> bool:
     """Return whether the intervals of a cause contain that nothing is wrong."""
-    sizes = candidate.parameters if candidate.effect.sized_by == "any" else candidate.parameters[:1]
     if candidate.is_term or candidate.effect.sized_by == "none":
         return False
-    return all(parameters[item.name].contains(item.neutral) for item in sizes)
+    sizes = candidate.parameters[: None if candidate.effect.sized_by == "any" else 1]
+    intervals_of = [(item.neutral, parameters[item.name]) for item in sizes]
+    return all(interval.low <= neutral <= interval.high for neutral, interval in intervals_of)
 
 
 def _evidence(
@@ -119,14 +120,10 @@ def extended_model(
     """Return the text of extended_model.toml: [base] and one [effect.<id>] for each claimed cause."""
     source = f"diagnosed from campaign {campaign.name}, {counted(len(campaign.strokes), 'stroke')}"
     claimed = {item.id for item in final.candidates}
-    tables = {
-        f"effect.{name}": dict(table)
-        for name, table in parameters.effects.items()
-        if name not in claimed
-    }
+    tables = {f"effect.{n}": dict(t) for n, t in parameters.effects.items() if n not in claimed}
     reported = {(cause.id, cause.variant): cause.parameters for cause in causes}
     for candidate in final.candidates:
-        cause_parameters = reported[(candidate.id, candidate.variant)]
+        items = reported[(candidate.id, candidate.variant)].items()
         if candidate.is_term:
             form = form_of(candidate)
             origin = f"{source}: {form.what} of {form.on} [{form.unit}], class {form.cause_class}"
@@ -135,15 +132,12 @@ def extended_model(
                 "variable": float(form.over),
                 "low": form.low,
                 "step": form.step,
-                "nodes": tuple(item.value for item in cause_parameters.values()),
+                "nodes": tuple(item.value for _name, item in items),
             }
             table = {name: Parameter(value, "-", origin) for name, value in rows.items()}
         else:
             origin = f"{source}, 95 % interval"
-            table = {
-                name: Parameter(item.value, item.unit, origin, item.low, item.high)
-                for name, item in cause_parameters.items()
-            }
+            table = {n: Parameter(i.value, i.unit, origin, i.low, i.high) for n, i in items}
             units = {p.name: p.unit for p in candidate.effect.parameters}
             origin = f"variant {candidate.variant}"
             for name, value in candidate.fixed.items():

@@ -40,10 +40,10 @@ def strokes_figure(result: Diagnosis) -> Figure:
 
 
 def _stroke(result: Diagnosis, k: int) -> Stack:
-    entry = result.model.strokes[k].entry
+    stroke = result.model.strokes[k]
+    title = f"{stroke.entry.label} ({stroke.entry.file})"
     panels = list(_channels(result, k))
-    view = _view(result.model.strokes[k])
-    return Stack("time, ms", panels, f"{entry.label} ({entry.file})", limits=view, width=5.0)
+    return Stack("time, ms", panels, title, limits=_view(stroke), width=5.0)
 
 
 def _view(stroke: StrokeObservation) -> tuple[float, float]:
@@ -79,9 +79,7 @@ def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
 def term_figure(form: TermForm, nodes: Sequence[Interval]) -> Figure:
     """Return the estimated term over its variable, with its interval."""
     x = np.linspace(form.low, form.high, form.count)
-    value, low, high = (
-        np.array([getattr(n, name) for n in nodes]) for name in ("value", "low", "high")
-    )
+    value, low, high = np.array([(node.value, node.low, node.high) for node in nodes]).T
     panel = Panel(
         form.what,
         form.unit,

@@ -18,24 +18,24 @@ from sil.inference.campaign.noise import rounding_of
 def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
     """Return what forbids conclusions from channels [3, n], which begin at sample `first`."""
     findings = []
+    position, force, _pressure = signals
     for name, values in zip(("position", "force", "pressure"), signals, strict=True):
         if np.isnan(values[0]):
             continue
         flaws = {"spike": _spikes(values)}
         if name == "position":
             flaws["jump"] = _jumps(values)
-        elif name == "force" and not np.any(_moves(signals[0])[flaws["spike"]]):
-            # where the body turns, a drive may change its sign for a sample or two
+            what, run = name, _held(values, force)
+        else:
+            what, travel = f"driving {name}", 0.05 * np.ptp(position)
+            run = next((k for k in _runs(values) if np.ptp(position[k]) > travel), None)
+        # where the body turns, a drive may change its sign for a sample or two
+        if name == "force" and not np.any(_moves(position)[flaws["spike"]]):
             flaws = {}
-        for what, rows in flaws.items():
+        for flaw, rows in flaws.items():
             if len(rows):
                 where = f"the first at sample {first + rows[0] + 1}"
-                findings.append(f"{file}: {name}: {counted(len(rows), what)}, {where}")
-        if name == "position":
-            what, run = name, _held(values, signals[1])
-        else:
-            what, travel = f"driving {name}", 0.05 * np.ptp(signals[0])
-            run = next((k for k in _runs(values) if np.ptp(signals[0][k]) > travel), None)
+                findings.append(f"{file}: {name}: {counted(len(rows), flaw)}, {where}")
         if run is not None:
             findings.append(
                 f"{file}: the {what} keeps one value over {run.stop - run.start} samples in motion from "
@@ -95,14 +95,12 @@ def _jumps(position: Floats) -> NDArray[np.int64]:
 
 def _runs(values: Floats) -> Iterator[slice]:
     """Yield the unusually long runs of one value, the longest first."""
-    changes = np.flatnonzero(np.diff(values) != 0.0)
-    edges = np.concatenate([[0], changes + 1, [len(values)]])
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]])
     lengths = np.diff(edges)
     usual = float(np.quantile(lengths, 0.98))
     for k in np.argsort(-lengths)[:20]:
-        if lengths[k] < max(20.0, 10.0 * usual):
-            break
-        yield slice(int(edges[k]), int(edges[k + 1]))
+        if lengths[k] >= max(20.0, 10.0 * usual):
+            yield slice(int(edges[k]), int(edges[k + 1]))
 
 
 def _held(position: Floats, force: Floats) -> slice | None:

@@ -191,10 +191,9 @@ def read_motion(path: str | Path) -> Recorded:
     for record, own_step in zip(records, usual, strict=True):
         signals = _signals(record, rig.body)
         if own_step < 0.99 * step:
-            findings.append(
-                f"{record.path.name}: {1.0 / own_step:.4g} samples a second, compared at {1.0 / step:.4g}: "
-                "by sample_rate_hz, or the slowest file"
-            )
+            rates = f"{1.0 / own_step:.4g} samples a second, compared at {1.0 / step:.4g}"
+            why = "by sample_rate_hz, or the slowest file"
+            findings.append(f"{record.path.name}: {rates}: {why}")
         if record.dialect:
             findings.append(f"{record.path.name}: read as {record.dialect}")
         # a stuck force is hidden by the pressures that are added to it

@@ -37,6 +37,10 @@ def _pressure(motion: Motion) -> Floats:
     return np.zeros(0) if motion.pressure_pa is None else motion.pressure_pa
 
 
+def _direction(motion: Motion) -> Floats:
+    return np.sign(motion.speed_m_s)
+
+
 def terms() -> dict[str, Term]:
     """Return the candidates by name: effects of the catalogue and physics beyond it."""
     effects = {
@@ -72,13 +76,9 @@ Over = Callable[[Motion], Floats]
 SMOOTH: dict[str, tuple[str, Over, Over | None]] = {
     "speed": ("friction", lambda m: m.speed_m_s, None),
     "position": ("mechanics", lambda m: m.position_m, None),
-    "position, against the motion": (
-        "friction",
-        lambda m: m.position_m,
-        lambda m: np.sign(m.speed_m_s),
-    ),
+    "position, against the motion": ("friction", lambda m: m.position_m, _direction),
     "pressure": ("gauge", _pressure, None),
-    "pressure, against the motion": ("friction", _pressure, lambda m: np.sign(m.speed_m_s)),
+    "pressure, against the motion": ("friction", _pressure, _direction),
     "position, in proportion to pressure": ("geometry", lambda m: m.position_m, _pressure),
 }
 """Functions without a form: class, what they depend on, what they are multiplied by."""

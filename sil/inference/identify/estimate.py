@@ -69,16 +69,12 @@ def model_of(result: Identified, parameters: ParameterSet) -> str:
     for item in result.estimates:
         section, key = item.path.split(".", 1)
         numbers = tuple(map(_rounded, item.numbers))
+        value = numbers if isinstance(item.value, tuple) else numbers[0]
         low = high = None
         if item.low is not None and item.high is not None and np.isfinite(item.high - item.low):
             low, high = _rounded(item.low), _rounded(item.high)
-        sections.setdefault(section, {})[key] = Parameter(
-            numbers if isinstance(item.value, tuple) else numbers[0],
-            parameters[item.path].unit,
-            item.source,
-            low,
-            high,
-        )
+        unit = parameters[item.path].unit
+        sections.setdefault(section, {})[key] = Parameter(value, unit, item.source, low, high)
     return model_file(result.judgement, parameters.name, sections)
 
 
