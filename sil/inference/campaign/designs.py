@@ -48,11 +48,7 @@ def designs(
     rests = sorted({rests[0], rests[-1]}) if every_rest else [measured[0].rest_s]
     distinct = dict.fromkeys(
         replace(
-            commanded,
-            commands=commands,
-            supply_pressure_pa=supply_pa,
-            rest_s=rest_s,
-            progress=1.0,
+            commanded, commands=commands, supply_pressure_pa=supply_pa, rest_s=rest_s, progress=1.0
         )
         for base in measured
         for commanded in (base, *_against(base))

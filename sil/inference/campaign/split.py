@@ -89,7 +89,4 @@ def odd_ones_in(
         left = [stratum(strokes[i]) for i in training if i not in freed]
         if len(freed) < len(moved) and left.count(stratum(strokes[k])) > 1:
             freed.add(k)
-    return (
-        tuple(sorted({*training, *moved} - freed)),
-        tuple(sorted({*held_out, *freed} - moved)),
-    )
+    return (tuple(sorted({*training, *moved} - freed)), tuple(sorted({*held_out, *freed} - moved)))

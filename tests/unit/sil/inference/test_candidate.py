@@ -21,12 +21,7 @@ from plant.systems.stroke import run_setup
 from sil.inference.candidate import candidates, compatible, term_candidate
 from tests.support.made_campaign import conditions_of
 
-INERT = (
-    Parameters.bump_x,
-    Parameters.bump_width,
-    Parameters.detent_width,
-    Parameters.alpha_v0,
-)
+INERT = (Parameters.bump_x, Parameters.bump_width, Parameters.detent_width, Parameters.alpha_v0)
 ALL = candidates(("damper", "internal position", "length stroke", "process exponents"))
 
 

@@ -164,8 +164,7 @@ def test_a_second_cause_that_corrects_the_form_of_a_far_larger_one_is_not_claime
 
 def test_a_cause_that_leaves_much_is_doubted() -> None:
     found = verdict(
-        entry(9000.0, 4500.0, excess=16000.0),
-        entry(4000.0, 2000.0, "stribeck", beyond=6000.0),
+        entry(9000.0, 4500.0, excess=16000.0), entry(4000.0, 2000.0, "stribeck", beyond=6000.0)
     )
     assert found.claimed == ("stribeck",)
     assert found.probabilities["stribeck"] < 0.2 and found.kind == "unnamed"

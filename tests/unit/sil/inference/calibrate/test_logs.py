@@ -112,10 +112,7 @@ def test_too_few_shifts_and_failed_ones_are_refused(shifts: list[RecordedShift])
 
 @pytest.mark.parametrize(
     ("more", "what"),
-    [
-        (["healthy"], "a second campaign"),
-        (["--map", "m.toml"], "not together with a campaign"),
-    ],
+    [(["healthy"], "a second campaign"), (["--map", "m.toml"], "not together with a campaign")],
 )
 def test_campaigns_and_logs_do_not_mix(more: list[str], what: str, tmp_path: Path) -> None:
     (tmp_path / "healthy").mkdir()

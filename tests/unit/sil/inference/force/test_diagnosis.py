@@ -164,10 +164,7 @@ def test_a_force_that_changes_its_sign_where_the_body_turns_has_no_spikes() -> N
     t = np.arange(4000) / 500.0
     signals = np.array([np.sin(3.0 * t), 50.0 * np.cos(t), np.full(len(t), np.nan)])
     turn, middle = 1309, 1047  # cos(3 t) = 0, sin(3 t) = 0
-    for row, found in (
-        (turn, []),
-        (middle, [f"force: 1 spike, the first at sample {middle + 1}"]),
-    ):
+    for row, found in ((turn, []), (middle, [f"force: 1 spike, the first at sample {middle + 1}"])):
         changed = signals.copy()
         changed[1, row : row + 2] += 80.0
         assert odd_channels("a.csv", changed, 0) == [f"a.csv: {text}" for text in found]
