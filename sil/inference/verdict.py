@@ -146,6 +146,8 @@ def judge(
     judged = []
     for fit in fits:
         held_out_fit = evaluated[fit.name][1] if held_out else None
+        if held_out and held_out_fit is None:
+            continue
         score, both = 0.5 * fit.evidence(), fit
         score -= sum(math.log(item.prior) for item in fit.candidates)
         if held_out_fit is not None:
@@ -155,8 +157,6 @@ def judge(
             stroke = fit.stroke.copy()
             stroke[list(held_out)] = held_out_fit.stroke[list(held_out)]
             both = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
-        elif held_out:
-            continue
         misfits = misfit(model, held_out_fit or fit), misfit(model, both)
         judged.append(Judged(fit, held_out_fit, both, score, *misfits))
     return sorted(judged, key=lambda item: item.score)

@@ -10,7 +10,7 @@ import pytest
 from plant.effects import CATALOGUE
 from plant.errors import IntegrationError
 from sil.inference.evidence import ChannelMisfit, Misfit
-from sil.inference.fit import Refusals
+from sil.inference.fit import Fitter
 from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import HeldOutFits, by_cause, decide, judge, slight_causes, weigh
 
@@ -222,7 +222,8 @@ def test_a_fit_that_the_held_out_strokes_refuse_is_counted_once() -> None:
         raise IntegrationError("too stiff")
 
     model = SimpleNamespace(size=2, offsets=(), unit=(), offsets_in=lambda _k: ())
-    fitter = SimpleNamespace(model=model, refusals=Refusals(), fit=refuse)
+    fitter = Fitter(model)
+    fitter.fit = refuse
     one, two = (
         SimpleNamespace(name=name, shared=[], candidates=[SimpleNamespace(name=name, id=name)])
         for name in ("stribeck", "free_play")
