@@ -1,7 +1,6 @@
 """The contract in C: enums, and for each message of the control unit its struct, pack and unpack.
 
-The arithmetic is that of `can_dbc.codec`, operation by operation, so that a compiler that contracts
-no products (-ffp-contract=off) gives the same bits. Checked by: tests/unit/can_dbc/test_c_header.py
+The arithmetic is that of `can_dbc.codec`, operation by operation: without contracted products (-ffp-contract=off) equal bits.
 """
 
 from __future__ import annotations

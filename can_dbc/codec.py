@@ -1,10 +1,8 @@
 """Strict encoding and decoding of every message of opc4.dbc.
 
-raw = round((physical - offset) / factor), half to even, where physical is the SI value of the
-dataclass in the unit of the DBC. Unused bits are 1; a receiver refuses other values except in the
-two public J1939 groups, whose unused bits later editions may assign. What a message needs is
-looked up in the DBC when it is first used. The counter and CRC of protected messages are left 0
-by `encode` and ignored by `decode`: can_dbc.e2e does both.
+raw = round((physical - offset) / factor), half to even, physical being the SI value in the unit of the DBC. Unused bits
+are 1; a receiver refuses others except in the two public J1939 groups, whose unused bits later editions may assign.
+The counter and CRC of protected messages are 0 from `encode` and ignored by `decode`: can_dbc.e2e does both.
 """
 
 from __future__ import annotations
@@ -39,10 +37,7 @@ _NO_VALUE = (TypeError, ValueError, KeyError, IndexError, OverflowError, Attribu
 
 
 class Conversion(NamedTuple):
-    """Both directions between a field and the raw value of its signal.
-
-    Each raises one of `_NO_VALUE` for what has no counterpart; `expected` says what has.
-    """
+    """Both ways between a field and its raw value; each raises one of `_NO_VALUE` for what is not as `expected`."""
 
     to_raw: Callable[[Any], int]
     from_raw: Callable[[int], Any]

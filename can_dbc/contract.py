@@ -1,8 +1,6 @@
-"""The part of opc4.dbc that programs need, read by a few regular expressions.
+"""The part of opc4.dbc that programs need, read by regular expressions in 2 ms; importing cantools takes 0.6 s.
 
-cantools takes 0.6 s of processor time to import, more than all else at the start of `opc4 run`;
-this takes 2 ms. Comments, value tables and whatever else documents the file are left to cantools.
-Checked by: tests/unit/can_dbc/test_contract.py, which compares every value with that of cantools.
+What documents the file is left to cantools, with whose values tests/unit/can_dbc/test_contract.py compares these.
 """
 
 from __future__ import annotations
@@ -35,10 +33,7 @@ class SignalSpec(NamedTuple):
 
 
 class MessageSpec(NamedTuple):
-    """A message: identifier, length in bytes, timing and end-to-end protection.
-
-    `cycle_ns` is 0 for messages without a period, `e2e_data_ids` empty for unprotected ones.
-    """
+    """A message; `cycle_ns` is 0 for messages without a period, `e2e_data_ids` empty for unprotected ones."""
 
     name: str
     can_id: int

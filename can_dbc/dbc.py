@@ -1,7 +1,6 @@
 """Databases of other people, read through cantools.
 
-cantools declares no exceptions for malformed files and expands some ranges without end. Impossible
-numbers are therefore refused first, and whatever cantools raises becomes one line.
+cantools declares no exceptions and expands some ranges without end: impossible numbers are refused first, its errors become one line.
 """
 
 from __future__ import annotations

@@ -110,10 +110,7 @@ def _data_ids(message_type: type) -> bytes:
 
 
 def with_counter(message_type: type, frame: Frame, counter: int) -> Frame:
-    """Return the frame with that counter and the CRC that belongs to it.
-
-    Senders use `Protector`; this is for test doubles and injected faults.
-    """
+    """Return the frame with that counter and its CRC, for test doubles and faults; senders use `Protector`."""
     data = bytearray(frame.data)
     data[1] = data[1] & 0xF0 | counter
     e2e_p02_protect(data, _data_ids(message_type), increment_counter=False)
@@ -146,10 +143,7 @@ def _opened(message_type: type, frame: Frame) -> Any:
 
 
 class Protector(Generic[M]):
-    """The sending end of one channel: numbers its frames and adds their CRC.
-
-    Source: AUTOSAR PRS E2E Protocol, profile 2.
-    """
+    """The sending end of one channel: numbers its frames and adds their CRC (AUTOSAR PRS E2E, profile 2)."""
 
     def __init__(self, message_type: type[M]) -> None:
         self.message_type = message_type

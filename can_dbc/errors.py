@@ -39,10 +39,7 @@ def os_error_text(error: OSError) -> str:
 
 
 def nearest(name: str, names: Iterable[str], count: int = 3, cutoff: float = 0.6) -> list[str]:
-    """Return up to `count` of the names that resemble `name` most, best first.
-
-    `cutoff`: similarity from 0 to 1 below which a name is left out.
-    """
+    """Return up to `count` names that resemble `name` most, best first; `cutoff`: least similarity, 0 to 1."""
     from difflib import get_close_matches  # only needed on the way to an error
 
     return get_close_matches(name, list(names), count, cutoff)

@@ -1,7 +1,6 @@
-"""Classic CAN frames with 29-bit identifiers and their J1939 parts.
+"""Classic CAN frames with 29-bit identifiers and their J1939 parts (SAE J1939-21).
 
-Identifier layout, most significant bit first: priority (3), extended data page (1), data page (1),
-PDU format (8), PDU specific (8), source address (8). Source: SAE J1939-21.
+Most significant bit first: priority (3), extended data page (1), data page (1), PDU format (8), PDU specific (8), source (8).
 """
 
 from __future__ import annotations
@@ -49,9 +48,8 @@ def checksum(can_id: int, data: bytes) -> int:
 
 
 def split_id(can_id: int) -> J1939Id:
-    """Split a 29-bit identifier into priority, parameter group, source and destination.
+    """Split a 29-bit identifier; a PDU format below 240 carries a destination, which is not part of the group number.
 
-    A PDU format below 240 carries a destination, which is not part of the group number.
     Raises ValueError for a number of more than 29 bits. Source: SAE J1939-21.
     """
     if not 0 <= can_id <= MAX_ID:
@@ -65,10 +63,7 @@ def split_id(can_id: int) -> J1939Id:
 
 
 def join_id(priority: int, pgn: int, source: int, destination: int = 0xFF) -> int:
-    """Build the 29-bit identifier of a parameter group; inverse of `split_id`.
-
-    Raises ValueError for a part that does not fit.
-    """
+    """Build the identifier of a parameter group, as `split_id` splits it. Raises ValueError for a part that does not fit."""
     if not (0 <= priority <= 7 and 0 <= pgn <= 0x3FFFF and 0 <= source <= 0xFF):
         raise ValueError(f"not J1939 parts: priority {priority}, PGN {pgn:#x}, source {source}")
     if not 0 <= destination <= 0xFF:

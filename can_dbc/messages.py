@@ -1,7 +1,6 @@
 """One frozen dataclass per message of the simulated bus, in SI units, with the enums they use.
 
-Values lie on the grid of the DBC after a round trip through the codec. The counter and CRC of the
-end-to-end protection are not fields: `can_dbc.e2e` owns them.
+Values lie on the grid of the DBC after a round trip. Counter and CRC are not fields: `can_dbc.e2e` owns them.
 """
 
 from __future__ import annotations
@@ -213,10 +212,7 @@ class Tsc1:
 
 @dataclass(frozen=True, slots=True)
 class Tc1:
-    """J1939 Transmission Control 1 (PGN 256), from the shift console, every 50 ms.
-
-    requested_gear (SPN 525): numbered as in `Etc2`.
-    """
+    """J1939 Transmission Control 1 (PGN 256), shift console, every 50 ms; requested gear (SPN 525) as in `Etc2`."""
 
     requested_gear: int | None
 

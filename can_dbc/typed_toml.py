@@ -1,8 +1,4 @@
-"""TOML files as typed records: strict, and every error names file, key and what was expected.
-
-This module is in the lowest package because plant, controller and sil read such files.
-Checked by: tests/unit/can_dbc/test_typed_toml.py
-"""
+"""TOML files as typed records: strict, and every error names file, key and what was expected."""
 
 from __future__ import annotations
 
@@ -26,10 +22,7 @@ Steps = tuple[str | int, ...]
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML file into a dictionary; numbers must be finite.
-
-    Raises InputError naming file and line or key.
-    """
+    """Read a TOML file; numbers must be finite. Raises InputError naming file and line or key."""
     return parse_toml(read_user_file(path, "a TOML file"), os.fspath(path))
 
 
@@ -85,8 +78,7 @@ def dotted(steps: Iterable[str | int]) -> str:
 def convert(raw: Any, kind: type[T], source: str = "", key: str = "") -> T:
     """Turn parsed TOML into a typed record; unknown keys, wrong types and ranges are refused.
 
-    `key`: the table that `raw` is, in messages. Raises InputError 'SOURCE: KEY: what; expected ...',
-    without 'SOURCE: ' for an empty one.
+    `key`: the table that `raw` is. Raises InputError 'SOURCE: KEY: what; expected ...', an empty SOURCE left out.
     """
     try:
         return msgspec.convert(raw, kind)

@@ -1,8 +1,4 @@
-"""Read a file that the user named: regular files only, and never more than a stated size; run its Python.
-
-This module is in the lowest package because the DBC reader, the plant's models and sil read such
-files.
-"""
+"""Read a file that the user named: regular files only, never more than a stated size; run its Python."""
 
 from __future__ import annotations
 
@@ -26,8 +22,7 @@ def read_user_file(
 ) -> bytes:
     """Return the content of a file; `expected` says in messages what it should be.
 
-    Raises InputError for a file that is missing, is not a regular file (a folder, device or pipe),
-    cannot be read, or is larger than `most_bytes`.
+    Raises InputError for a file that is missing, no regular one, unreadable, or larger than `most_bytes`.
     """
     source = os.fspath(path)
     with regular_file(source, expected) as file:
@@ -84,10 +79,7 @@ def read_user_text(
 
 
 def resolved(path: str | os.PathLike[str]) -> Path:
-    """Return the absolute path without symbolic links.
-
-    Of links that lead in a circle as far as they can be followed: opening it is an OSError, ELOOP.
-    """
+    """Return the absolute path without links, those that lead in a circle as far as they can be followed."""
     return Path(os.path.realpath(path))
 
 

@@ -1,8 +1,4 @@
-"""The firmware's settings as one struct in C: its declaration, and its content for a run.
-
-Every member has 8 bytes, double or int64_t, so that its layout is the same for every compiler.
-Checked by: tests/unit/controller/test_c_settings.py
-"""
+"""The firmware's settings as one struct in C, of members of 8 bytes: its declaration, and its content for a run."""
 
 from __future__ import annotations
 

@@ -13,10 +13,7 @@ from controller.settings import ControlConfig
 
 
 class FirmwareConfig(ControlConfig, frozen=True):
-    """All settings of the firmware; the defaults are today's control unit.
-
-    Raises InputError 'FIELD: what; expected ...'.
-    """
+    """All settings of the firmware, by default today's. Raises InputError 'FIELD: what; expected ...'."""
 
     strategy: str = "open_loop"
     """How a push is carried out: one of controller.strategies.NAMES."""

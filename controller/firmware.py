@@ -93,10 +93,7 @@ class Firmware:
         self._duties = OFF  # of the latest step
 
     def step(self, now_ns: int, inputs: Inputs) -> Outputs:
-        """Take the inputs of one period and return the messages to send.
-
-        Raises ValueError unless time increases from step to step.
-        """
+        """Take the inputs of one period and return the messages to send. Raises ValueError unless time increases."""
         if self._start_ns is None:
             self._start_ns = self._sampled_ns = now_ns
             self._broadcast.start(now_ns)
@@ -137,10 +134,7 @@ class Firmware:
         return state is E2eState.INVALID or self._valid_before[channel] or not waking
 
     def _sense(self, now_ns: int, inputs: Inputs, waking: bool) -> tuple[Estimate, Fault]:
-        """Return the estimate and the faults of the position.
-
-        A channel that is valid but brings no usable sample for its timeout is lost as well.
-        """
+        """Return estimate and faults of the position; a valid channel without a usable sample for its timeout is lost."""
         lost = self._lost("position", inputs.position_state, waking)
         valid = inputs.position_state is E2eState.VALID
         if not valid:

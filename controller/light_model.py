@@ -1,8 +1,7 @@
-"""A light model of an engagement, in plain floats, for strategies that look ahead.
+"""A light model of an engagement, in plain floats; positions in m from neutral towards the gear.
 
-One driving piston, the stay that it pushes, the neutral chamber that it compresses. Ellipses
-stand for the measured flows, the far chamber is at the atmosphere, no synchronizer: its force is
-what an estimator must find. Positions in m from neutral towards the gear.
+One driving piston, the stay it pushes, the neutral chamber it compresses. Ellipses stand for the measured flows, the far
+chamber is at the atmosphere, no synchronizer: its force is what an estimator must find.
 """
 
 from __future__ import annotations
@@ -139,10 +138,7 @@ class LightModel:
         return size * upstream_pa * sqrt(1.0 - share * share)
 
     def step(self, motion: LightModelState, driving: bool, braking: bool, step_s: float) -> None:
-        """Advance a state by one step with the valves as given.
-
-        The piston pushes the stay and cannot pull it: what brakes the piston lets the stay coast.
-        """
+        """Advance a state by one step with the valves as given; the piston pushes the stay and cannot pull it."""
         settings = self.settings
         piston_kg, stay_kg = settings.piston_kg, settings.stay_kg
         piston_m2, stay_m2 = settings.piston_m2, settings.stay_m2

@@ -32,8 +32,7 @@ class Steps(Protocol):
 class TickingNode(abc.ABC):
     """A control unit that steps at k times its period.
 
-    A frame that arrives at the instant of a tick counts for that tick. All frames of a step are
-    released together, the computation time after the tick.
+    A frame that arrives at a tick counts for it; all frames of a step are released together, the computation time later.
     """
 
     name = "controller"
@@ -89,10 +88,9 @@ class TickingNode(abc.ABC):
 
 
 class ControllerNode(TickingNode):
-    """The firmware with its end-to-end protected channels.
+    """The firmware with its protected channels.
 
-    A frame that is corrupt, of a wrong length or out of range is counted by its receiver and otherwise
-    ignored; frames of other identifiers are ignored.
+    Its receivers count frames that are corrupt, too short or out of range; other frames are ignored.
     """
 
     def __init__(self, config: FirmwareConfig, firmware: Steps | None = None) -> None:

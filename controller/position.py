@@ -33,10 +33,7 @@ class Estimate(NamedTuple):
 
 
 class Calibration:
-    """Inverse of t8V = (t_mid + slope x)(1 + temp_coeff (T - T_ref)).
-
-    Source: thesis 2.2.4.
-    """
+    """Inverse of t8V = (t_mid + slope x)(1 + temp_coeff (T - T_ref)) (thesis 2.2.4)."""
 
     def __init__(self, sensor: SensorConfig) -> None:
         self._sensor = sensor
@@ -156,10 +153,7 @@ class PositionEstimator:
         self._stuck_at_m = self._last.raw_m
 
     def update(self, pulses: Sequence[PositionPulse], lost: bool) -> Estimate:
-        """Take the pulses since the last step (the newest ones only, should they be too many).
-
-        `lost` says that the channel is not valid: the estimate is void and starts afresh later.
-        """
+        """Take the pulses since the last step, the newest if they are too many; `lost`: the estimate is void."""
         accepted: list[Sample] = []
         if lost:
             self._settled = self._has_plausible = False

@@ -22,10 +22,7 @@ def _wrong(name: str, value: object, expected: str) -> InputError:
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
-    """A settings record whose bounds hold however it was made.
-
-    Raises InputError 'NAME: VALUE is wrong; expected LOW to HIGH UNIT'.
-    """
+    """A settings record with bounds. Raises InputError 'NAME: VALUE is wrong; expected LOW to HIGH UNIT'."""
 
     def __post_init__(self) -> None:
         for name, meta in _bounds(type(self)):
@@ -191,10 +188,7 @@ class BroadcastConfig(Settings, frozen=True):
 
 
 class ControlConfig(Settings, frozen=True):
-    """All settings of the firmware but its strategy; the defaults are today's control unit.
-
-    Raises InputError 'FIELD: what; expected ...'.
-    """
+    """All settings of the firmware but its strategy, by default today's. Raises InputError 'FIELD: what; expected ...'."""
 
     period_s: Annotated[float, bounded(0.002, 0.02, "s")] = 0.01
     """Time between two steps, a whole number of nanoseconds (thesis 2.2.1: 10 ms)."""

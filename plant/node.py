@@ -29,12 +29,7 @@ from plant.devices.conditions import ChamberName, Conditions
 from plant.devices.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
 from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
-from plant.devices.signal_faults import (
-    SpeedFault,
-    SpeedSensors,
-    TemperatureFault,
-    Thermometer,
-)
+from plant.devices.signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
 from plant.devices.toothed_wheel import toothed_wheels
 from plant.devices.valve import NS_PER_S, CoilConfig, ValveTiming, seconds_to_ns
 from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
@@ -179,12 +174,7 @@ class PlantNode:
         self._speeds = _Cycle(seconds_to_ns(config.speeds_period_s), phase_ns)
         self._truth = _Cycle(seconds_to_ns(config.truth_period_s), phase_ns)
         self._rows = TraceRows(
-            self.stroke,
-            config.damper,
-            trace,
-            trace_ns,
-            trace_rows_at_once,
-            config.drive,
+            self.stroke, config.damper, trace, trace_ns, trace_rows_at_once, config.drive
         )
         self._protect_pulse: Protector[PositionPulse] = Protector(PositionPulse)
         self._protect_speeds: Protector[DrivelineSpeeds] = Protector(DrivelineSpeeds)
@@ -210,10 +200,7 @@ class PlantNode:
     def advance(
         self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
     ) -> tuple[Released, int]:
-        """Advance to `until_ns` with the frames that arrived since; see `sil.coupling.transports`.
-
-        Raises ValueError for an interval that would skip an event of this participant.
-        """
+        """Advance to `until_ns` with the frames that arrived. Raises ValueError if that skips an event of this node."""
         if until_ns > self._next_event_ns():
             raise ValueError(f"advance to {until_ns} ns skips the event at {self._next_event_ns()}")
         if self.config.driveline.follows_requests:

@@ -94,10 +94,7 @@ class TraceRows:
         return range(self._next_ns, until_ns + 1, self._period_ns)
 
     def write(self, instants: range, states: Sequence[Floats], updates: Sequence[Update]) -> None:
-        """Write the rows at `instants` from the states there, in blocks [n, all columns].
-
-        `updates` are the changes of the signals since the last call, each column's in order.
-        """
+        """Write the rows at `instants` from blocks of states [n, all columns], and changes of the signals, in order."""
         if self._sink is None:
             return
         self._updates += updates

@@ -90,10 +90,7 @@ class Strategy(abc.ABC):
         """Return the duties for the coming period; called once per step of a push."""
 
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
-        """Return how long the safety blow lasts after `leg` is confirmed, at most as configured.
-
-        `follows`: a gear is to be engaged next.
-        """
+        """Return how long the blow after `leg` lasts, at most as configured; `follows`: a gear is to be engaged next."""
         return configured_s
 
 
@@ -107,9 +104,6 @@ def strategy_class(name: str) -> type[Strategy]:
 
 
 def parameters(name: str, table: Mapping[str, Any]) -> Struct:
-    """Make the settings record of a strategy from its table.
-
-    Raises InputError for an unknown strategy (naming the nearest) and for a wrong table.
-    """
+    """Make the settings record of a strategy. Raises InputError for an unknown strategy and a wrong table."""
     kind = strategy_class(name).Parameters
     return convert(dict(table), kind, key="strategy_parameters")

@@ -30,8 +30,7 @@ class AirCushionParameters(IntoGearParameters, frozen=True):
 class AirCushion(IntoGear):
     """Fill the neutral chamber for a moment just before the end (thesis 6.3).
 
-    The burst begins when x + v lead >= trigger; the lead covers the delays of sensor and
-    valve. Some 4 additions, multiplications and comparisons a step.
+    The burst begins when x + v lead >= trigger; the lead covers sensor and valve. Some 4 operations a step.
     """
 
     Parameters = AirCushionParameters

@@ -21,8 +21,7 @@ class BlowCutParameters(Settings, frozen=True):
 class BlowCut(OpenLoop):
     """Open loop whose blow on neutral ends early when a gear is to follow (thesis 6.1).
 
-    The pressure left in the neutral chamber must be overcome by the next engagement, which costs
-    50-100 ms; it also cushions that engagement. No arithmetic but a choice of duty.
+    Pressure left in the neutral chamber costs the next engagement 50-100 ms; it also cushions it. A choice of duty.
     """
 
     Parameters = BlowCutParameters

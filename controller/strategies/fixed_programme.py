@@ -24,10 +24,7 @@ class FixedProgrammeParameters(IntoGearParameters, frozen=True):
 
 
 class FixedProgramme(IntoGear):
-    """Leave the driving chamber once and fill the neutral one once, at fixed times of the push.
-
-    At most 20 operations a step.
-    """
+    """Leave the driving chamber and fill the neutral one at fixed times of the push; at most 20 operations a step."""
 
     Parameters = FixedProgrammeParameters
     name: ClassVar[str] = "fixed_programme"

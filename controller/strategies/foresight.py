@@ -60,10 +60,7 @@ class Foresight(IntoGear):
     def trial(
         self, brake_on_s: float, brake_off_s: float, charge_off_s: float, charge_on_s: float
     ) -> Outcome:
-        """Run the light model on from now with commands at the given delays from now.
-
-        A delay beyond the horizon means never. At most horizon/0.5 ms model steps.
-        """
+        """Run the model on with commands at delays from now; beyond the horizon: never. Horizon/0.5 ms model steps."""
         observer = self.observer
         motion = copy(observer.motion)
         driving, braking = copy(observer.driving), copy(observer.braking)

@@ -48,10 +48,9 @@ class IntoGearParameters(Settings, frozen=True):
 
 
 def within(begun_s: float | None, now_s: float, length_s: float) -> bool:
-    """Whether something that began at a step, if it did, goes on at this one.
+    """Whether something that may have begun at a step goes on now.
 
-    A length of N periods is N steps long whenever it begins: no instant is nearer than a nanosecond
-    to another, and what times lose by rounding is far less.
+    A length of N periods is N steps long whenever it begins: instants are a nanosecond apart, rounding loses far less.
     """
     return begun_s is not None and now_s - begun_s < length_s - 0.5e-9
 

@@ -1,8 +1,6 @@
-"""Many strokes in one call: sweeps, fits, Monte Carlo.
+"""Many strokes in one call: sweeps, fits, Monte Carlo; bit for bit the same for any number of workers.
 
-Strokes that the lanes cover run eight at a time (plant/batch/lanes.py); the others one after the other
-through the scalar kernel, in the same call and compiled as well.  The result says which took which
-path.  It is the same, bit for bit, for any number of workers.
+Strokes that the lanes cover run eight at a time (plant/batch/lanes.py), the others through the scalar kernel.
 """
 
 from __future__ import annotations
@@ -86,10 +84,7 @@ class Strokes:
 
     @classmethod
     def from_setups(cls, setups: Sequence[Setup], duration_s: float) -> Strokes:
-        """Any strokes of one system, each with its own setup.
-
-        Raises ValueError if the setups mix the two systems.
-        """
+        """Strokes of one system, each with its own setup. Raises ValueError if the setups mix the two systems."""
         if len({setup.conditions.system for setup in setups}) != 1:
             raise ValueError("a batch holds strokes of one system")
         like: tuple | None = None
@@ -160,10 +155,7 @@ def shared(arrays: Sequence[NDArray]) -> NDArray:
 
 
 def fill_still(out: Floats, strokes: Strokes, columns: Iterable[int], covered: Bools) -> None:
-    """Write the states that do not move in a lane into samples [n, s, columns] of the covered strokes [n].
-
-    In their SI units.
-    """
+    """Write the states that do not move in a lane into samples [n, s, columns] in SI units of covered strokes [n]."""
     for place, column in enumerate(columns):
         if column >= MOVING_STATES[strokes.system]:
             still = np.broadcast_to(strokes.initial[:, column, None], out.shape[:2])

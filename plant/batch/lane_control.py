@@ -1,9 +1,4 @@
-"""One lane between two vector steps: accept or reject, events, switches, rests, samples.
-
-With the event loop's own functions (`plant.integrator.loop`), on one lane of the flat array.
-
-Checked by: tests/unit/plant/batch/test_batch.py
-"""
+"""One lane between two vector steps, with the event loop's own functions: accept, events, rests, samples."""
 
 from __future__ import annotations
 
@@ -115,10 +110,7 @@ def handle_event(index, one, k, o, task, result):
 
 @called
 def prepare(one, k, o, task, result, n):
-    """Bring a lane to its next step, over switches, events at this instant and rests.
-
-    Returns STEPPING, DONE at the stroke's end, or the reason to stop.
-    """
+    """Bring a lane to its next step, over switches, events and rests: STEPPING, DONE at the end, or why it stops."""
     while True:
         apply_switches(one, k, o, task)
         if one.time >= one.end:
@@ -164,10 +156,7 @@ def reject(one, k, follow):
 
 @called
 def find_event(one, k, o, task, until, n):
-    """Find the first event within the step, as `first_event` does; stage: the state there.
-
-    dense: the interpolant, of the sampled columns only if that is enough.
-    """
+    """Find the first event of the step, as `first_event` does; stage: the state there, dense: the interpolant."""
     h = one.step
     y1 = one.stage
     theta = 1.0
@@ -190,10 +179,9 @@ def find_event(one, k, o, task, until, n):
 
 @called
 def judge(one, k, o, task, result, n):
-    """Accept or reject the step that a lane has just taken.
+    """Accept or reject the step that a lane has just taken; one that follows a grid rejects nothing.
 
-    Returns STEPPING, DONE when something has happened (event, switch, end) and the lane must be
-    prepared anew, or the reason to stop.  A lane that follows a grid rejects nothing.
+    Returns STEPPING, DONE when something has happened (event, switch, end) and the lane must be prepared, or why it stops.
     """
     h = one.step
     one.accepted = 0.0

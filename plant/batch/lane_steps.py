@@ -154,11 +154,7 @@ length_lane_guards = guards_over_lanes(guards, length_state)
 
 @called
 def rates_of_lanes(f, fixed, curved, fraction, width):
-    """Rates of all lanes at their stage states, `fraction` of their step on: stage -> rate.
-
-    curved: a lane's exponents may follow its speed along a curve; else there is no exp, which would
-    be called for one lane after the other.
-    """
+    """Rates of all lanes, `fraction` of their step on: stage -> rate; only exponents that are `curved` need an exp."""
     if fixed and curved:
         curved_fixed_lanes(f, fraction, width)
     elif fixed:
@@ -178,13 +174,10 @@ def increments(steps, rate, k, count):
 
 @called
 def step_of_lanes(f, fixed, curved, n, tolerance, width):
-    """One Dormand-Prince step of every lane, each with its own step size.
+    """One Dormand-Prince step of every lane, each with its own size, after the `accepted` ends have become states.
 
-    First, lanes whose last step was `accepted` take its end as their state.  Then
-    y, rate_0, time, step -> stage (new state), rate (rates there), k (increments), lowest (guard
-    there), norm (of the error), root and factor, by which the error lets the step grow; scale
-    holds the states' typical sizes.
-    `width` must be WIDTH; as a variable it keeps the compiler from unrolling the lanes.
+    y, rate_0, time, step -> stage (new state), rate (there), k (increments), lowest (guard there), norm (of the error), root
+    and factor, by which the error lets the step grow. `width`: WIDTH, as a variable, so that the lanes are not unrolled.
     """
     count = n * WIDTH
     a = all_lanes(f)

@@ -1,8 +1,6 @@
 """Many strokes: eight at a time in lanes, each with its own time, step size and modes.
 
-A lane that is done takes the next stroke.  A stroke's result does not depend on its neighbours.
-
-Checked by: tests/unit/plant/batch/test_batch.py
+A lane that is done takes the next stroke. A stroke's result does not depend on its neighbours.
 """
 
 from __future__ import annotations
@@ -24,14 +22,7 @@ from plant.batch.lane_control import (
     prepare,
     result_of,
 )
-from plant.batch.lane_steps import (
-    FREE_OF,
-    MODES_FREE_OF,
-    WIDTH,
-    Lane,
-    lane_of,
-    step_of_lanes,
-)
+from plant.batch.lane_steps import FREE_OF, MODES_FREE_OF, WIDTH, Lane, lane_of, step_of_lanes
 from plant.integrator.filling import FOLLOW_GRID, OWN_STEPS, STORED_ROW, WRITE_GRID
 from plant.integrator.loop import DONE, STEPPING, Task
 from plant.integrator.workspace import Scratch, scratch_of
@@ -76,11 +67,7 @@ class Batch(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Arrays that a batch writes.
-
-    results [strokes, Result.size]; final [strokes, states]; out [strokes, s, columns];
-    events [strokes, room, EventRow.size].
-    """
+    """Arrays of a batch: results [strokes, Result.size], final [strokes, states], out [strokes, s, columns], events [strokes, room, EventRow.size]."""
 
     results: Any
     final: Any
@@ -89,11 +76,7 @@ class Outcome(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Memory of a batch's kernel.
-
-    flat [FLAT + Scratch.size]; counters int64 [Memory.size * WIDTH]; grid [steps, GridRow.size]; stored
-    [s, STORED_ROW] of the grid's samples at rest.
-    """
+    """Memory: flat [FLAT + Scratch.size]; counters int64 [Memory.size * WIDTH]; grid [steps, GridRow.size]; stored [s, STORED_ROW]."""
 
     flat: Any
     counters: Any
@@ -185,10 +168,7 @@ def finish(one, k, stroke, status, batch, outcome, n):
 
 @called
 def run_order(batch, outcome, room, table, order, tolerance, system, pace):
-    """Simulate the strokes `order` of a batch, in lanes; arguments as of `run_lanes`.
-
-    pace: OWN_STEPS, WRITE_GRID or FOLLOW_GRID, and how many steps the grid holds.
-    """
+    """Simulate the strokes `order` in lanes, as `run_lanes`; pace: how it uses the grid, and how many steps that holds."""
     use, steps = pace
     n = MOVING_STATES[system]
     # WIDTH; as a variable it keeps the compiler from unrolling the lanes

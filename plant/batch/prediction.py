@@ -1,8 +1,4 @@
-"""Many runs of one stroke with changing parameters: the kernel without ceremony.
-
-The same equations and kernel as `plant.systems.stroke`; no quadratures, no event objects.  Used by fits,
-which call it thousands of times.
-"""
+"""Many runs of one stroke with changing parameters, for fits: no quadratures, no event objects."""
 
 from __future__ import annotations
 
@@ -64,10 +60,7 @@ def _driven_alike(one: Setup, other: Setup) -> bool:
 
 
 class Predictor:
-    """States of one stroke at fixed instants, for any variation of its setup.
-
-    sample_ns: instants, ascending; the last one ends the simulation.
-    """
+    """States of one stroke, for any variation of its setup, at `sample_ns`: ascending, the last one is the end."""
 
     def __init__(self, sample_ns: NDArray[np.int64], tolerance: float = 1e-7) -> None:
         self.sample_ns = sample_ns
@@ -96,10 +89,7 @@ class Predictor:
         return ready
 
     def states(self, setup: Setup) -> Floats:
-        """States [n, states] at the instants; pressures behind the lines' lag if there is one.
-
-        Raises IntegrationError if the motion cannot be continued.
-        """
+        """States [n, states] at the instants, SI units, as gauges show them. Raises IntegrationError where it cannot go on."""
         ready = self._prepared(setup)
         y = setup.initial_state()
         run, control = self._run, self._control

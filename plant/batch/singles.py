@@ -1,7 +1,4 @@
-"""Many strokes, one after the other, by the scalar kernel: for what the lanes do not cover.
-
-Checked by: tests/unit/plant/batch/test_batch.py
-"""
+"""Many strokes, one after the other, by the scalar kernel: for what the lanes do not cover."""
 
 from __future__ import annotations
 

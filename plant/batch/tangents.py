@@ -66,10 +66,7 @@ class Followers:
 
 @kernel
 def to_quotients(samples, steps):
-    """Turn samples [n + 1, k] of a stroke and its n neighbours into differences from the first, by their steps.
-
-    The first row stays.
-    """
+    """Turn samples [n + 1, k] of a stroke and its n neighbours into differences from the first row, by their steps."""
     for i in range(len(steps)):
         per_step = 1.0 / steps[i]
         for k in range(samples.shape[1]):

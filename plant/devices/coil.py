@@ -17,10 +17,7 @@ OPENS_AT, CLOSES_AT = 0.55, 0.45
 
 
 class Solenoid(NamedTuple):
-    """A coil with its plunger; position 0 is closed, `travel_m` open.
-
-    L(x) = L0 + L1 x + L2 x^2 / 2. Spring force: preload_n + stiffness_n_m x.
-    """
+    """A coil with its plunger, closed at 0: L(x) = L0 + L1 x + L2 x^2 / 2, spring preload_n + stiffness_n_m x."""
 
     supply_v: float
     decay_v: float
@@ -53,9 +50,9 @@ class SolenoidState(NamedTuple):
 def _step(
     state: SolenoidState, solenoid: Solenoid, on: float, step_s: float, blocked: bool
 ) -> SolenoidState:
-    """Return the state after one step with the driver on for the share `on` of it.
+    """Return the state a step later, the driver on for the share `on` of it (midpoint rule).
 
-    u = R i + d(L i)/dt, m dv/dt = i^2/2 dL/dx - spring - damping; midpoint rule.
+    u = R i + d(L i)/dt, m dv/dt = i^2/2 dL/dx - spring - damping.
     """
     current, position, velocity = state.current_a, state.position_m, state.velocity_m_s
     slope = solenoid.inductance_slope_h_m
@@ -112,10 +109,9 @@ def _march(
     blocked: bool,
     watch: float,
 ) -> tuple[SolenoidState, int, int]:
-    """Advance in steps of at most STEP_NS; return state, instant reached, instant of a crossing.
+    """Advance in steps of at most STEP_NS; return state, instant reached, instant of a crossing (-1: none).
 
-    It stops at `end_ns`, or after the step in which the plunger passes `watch` (a position in m, positive on
-    the way up, negative on the way down); the instant is -1 without one.
+    Ends at `end_ns`, or when the plunger has passed `watch` (a position in m, positive on the way up, negative down).
     """
     now_ns = begin_ns
     while now_ns < end_ns:
@@ -236,10 +232,7 @@ class CoilValve(Valve):
 
 
 def supply_changes(config: CoilConfig) -> list[tuple[int, float]]:
-    """Return when the supply changes and to what [ns, V], in order, the last one never.
-
-    Raises InputError for dips that overlap.
-    """
+    """Return when the supply changes and to what [ns, V], in order. Raises InputError for dips that overlap."""
     dips = sorted(config.dip, key=lambda dip: dip.start_s)
     for dip, following in pairwise(dips):
         if following.start_s < dip.end_s:

@@ -73,11 +73,9 @@ class Driveline:
         position_m: float,
         has_synchronizer: bool = True,
     ) -> None:
-        """Start at rest with the stay at `position_m`, in gear beyond `x_block_m` from neutral.
+        """Start at rest at `position_m`, in gear beyond `x_block_m` from neutral; there the engine has synchronised.
 
-        In neutral the engine has already synchronised. Raises InputError unless `x_block_m` is
-        positive. Without a synchronizer (on a rig) only a
-        stated impulse blocks.
+        Raises InputError unless `x_block_m` is positive. Without a synchronizer (on a rig) only a stated impulse blocks.
         """
         if not x_block_m > 0.0:
             raise InputError(f"synchronizer.x_block: {x_block_m:g}; expected above 0 m")

@@ -84,10 +84,7 @@ class Reading(NamedTuple):
 
 
 class PositionCircuit:
-    """Pulses at fixed instants; the stay changes their duration, never their time.
-
-    Raises InputError for a capture time shorter than the longest pulse, or a period shorter.
-    """
+    """Pulses at fixed instants; the stay changes their duration. Raises InputError for too short a capture or period."""
 
     def __init__(
         self,

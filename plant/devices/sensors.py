@@ -180,10 +180,7 @@ class InternalChain:
         )
 
     def ticks_s(self, end_s: float, phase_s: float = 0.0) -> Floats:
-        """Return the starts of the pulses [s] of a record 0 <= t <= end_s, one of them at `phase_s`.
-
-        The first is the last one before time 0; the last is measured within the record.
-        """
+        """Return the starts of the pulses [s] of a record 0 <= t <= end_s, one at `phase_s`, from the last one before 0 on."""
         first_s = phase_s % self.period_s
         last_s = end_s - 0.5 * self.sensor.t_mid_s
         count = max(0, int(np.floor((last_s - first_s) / self.period_s + 1e-9)) + 1)
@@ -197,8 +194,7 @@ class InternalChain:
     def held_m(self, time_s: Floats, tick_s: Floats, measured_m: Floats) -> Floats:
         """Return the reported position [n] in m at `time_s` [n] of positions measured [k] at ticks [k].
 
-        Before the first publication the value is that of the first measurement. A value
-        published at the very instant of a record is in it, within the rounding of seconds.
+        Before the first publication that of the first; one published at the instant of a record, but for rounding, is in it.
         """
         duration_s = self.sensor.duration_s(measured_m, self.coil_temperature_k)
         pulse_s = self.sensor.ticks(duration_s) * self.sensor.tick_s

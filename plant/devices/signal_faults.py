@@ -73,10 +73,7 @@ class SpeedFault(FaultWindow, frozen=True, kw_only=True):
 
 
 class ActiveFault(Generic[Report]):
-    """A fault of reports with its memory.
-
-    `wrong`: what it makes of a report; `garbage`: draws one.
-    """
+    """A fault of reports with its memory; `wrong`: what it makes of a report; `garbage`: draws one."""
 
     def __init__(
         self,
@@ -93,10 +90,7 @@ class ActiveFault(Generic[Report]):
         self._past: deque[Report] = deque(maxlen=getattr(fault, "late", 0) + 1)
 
     def apply(self, now_ns: int, report: Report, stuck: Report | None = None) -> Report | None:
-        """Return what is sent in place of a report, None for nothing.
-
-        `stuck`: what is sent from the first report on that is stuck; None for that report.
-        """
+        """Return what is sent in place of a report, None for nothing; `stuck`: what a stuck one sends, None for the report."""
         fault = self.fault
         if not fault.holds(now_ns):
             return report
@@ -163,10 +157,7 @@ class SpeedSensors:
     def report(
         self, now_ns: int, input_rad_s: float, output_rad_s: float, ratio: float = 1.0
     ) -> Speeds | None:
-        """Return the speeds [rad/s] to send at `now_ns`, None when none are.
-
-        `ratio`: speed of the input shaft itself by the one that is referred to the synchronizer.
-        """
+        """Return the speeds [rad/s] to send, None for nothing; `ratio`: input shaft's own speed by the referred one."""
         speeds: Speeds | None = (input_rad_s, output_rad_s)
         if self._wheels:
             of_input, of_output = self._wheels

@@ -1,7 +1,4 @@
-"""Proportional valve with a closed centre: the path of its spool, as moves that the equations take.
-
-Checked by: tests/physics/test_proportional_valve.py
-"""
+"""Proportional valve with a closed centre: the path of its spool, as moves that the equations take."""
 
 from __future__ import annotations
 
@@ -42,10 +39,7 @@ class Spool:
     def moves(
         self, signal: Sequence[tuple[int, float]], start: float, until_ns: int, creep_s: float
     ) -> Iterator[Move]:
-        """Yield the moves by a signal (instant ns, value from then on), from rest at `start`.
-
-        creep_s: least time for the whole travel.
-        """
+        """Yield the moves by a signal (instant ns, value) from rest at `start`; creep_s: least time of the whole travel."""
         w = 2.0 * pi * self.frequency_hz
         # 100 moves per period of the natural frequency: straight between them within 0.05 %
         step_ns = max(1, round(NS_PER_S / (100 * self.frequency_hz)))
@@ -91,8 +85,7 @@ def spool_moves(
 ) -> Iterator[Move]:
     """Yield the moves of one valve by commands (instant ns, signal), each after the valve's delay.
 
-    A larger signal acts after the opening delay, a smaller one after the closing delay; a command that
-    overtakes another one cancels it.
+    A larger signal acts after the opening delay, a smaller one after the closing delay; one that overtakes another cancels it.
     """
     signal: list[tuple[int, float]] = []
     before = start

@@ -21,10 +21,7 @@ Drive = Literal["delays", "coil"]
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Return the whole nanoseconds nearest to a time in seconds.
-
-    Raises InputError beyond 1e9 s, thirty years.
-    """
+    """Return the whole nanoseconds nearest to a time in seconds. Raises InputError beyond 1e9 s, thirty years."""
     if abs(seconds) > 1e9:
         raise InputError(f"a time of {seconds:g} s; expected at most 1e+09 s")
     return round(seconds * NS_PER_S)
@@ -129,10 +126,7 @@ class ValveTiming:
         )
 
     def slowed(self, factor: float) -> ValveTiming:
-        """Return the same valve with every delay `factor` times as long.
-
-        Raises InputError when a delay becomes longer than any that a plunger could have.
-        """
+        """Return the valve with every delay times `factor`. Raises InputError for one that no plunger could have."""
         return replace(
             self,
             rise_ns=round(self.rise_ns * factor),
@@ -142,10 +136,7 @@ class ValveTiming:
         )
 
     def is_energised(self, duty: float, before: bool) -> bool:
-        """Return whether a coil at `duty` (0..1) is energised, given whether it was before.
-
-        Raises ValueError for a duty outside 0..1.
-        """
+        """Return whether a coil at `duty` is energised, by whether it was before. Raises ValueError outside 0..1."""
         if not 0.0 <= duty <= 1.0:
             raise ValueError(f"duty {duty!r} is not within 0..1")
         if duty >= self.duty_open:
@@ -157,9 +148,7 @@ class ValveTiming:
     def fall_delay_ns(self, current: float) -> int:
         """Return the closing delay [ns] of a coil with a current, by that of a duty of 1.
 
-        Constant, or with `closing_follows_duty` D_fall = fall_base + fall_tau ln(i / i_hold), the
-        time that the current needs to decay through the freewheel diode to the holding level,
-        i_hold halfway between the two thresholds.
+        With `closing_follows_duty` D_fall = fall_base + fall_tau ln(i / i_hold): decay through the freewheel diode to halfway between the thresholds.
         """
         if not self.closing_follows_duty:
             return self.fall_ns
@@ -180,15 +169,11 @@ class ValveTiming:
 class Valve:
     """One 3/2 valve: open connects its chamber to supply, closed to atmosphere.
 
-    A command that is reversed before the plunger moved is cancelled and leaves no trace. A move due
-    at the very instant of a new command happens first.
+    A command reversed before the plunger moved leaves no trace; a move due at the very instant of a command happens first.
     """
 
     def __init__(self, timing: ValveTiming, is_open: bool = False, duty: float = 0.0) -> None:
-        """Start at rest, open or closed, with the coil at `duty` since long ago.
-
-        Raises ValueError when `duty` contradicts `is_open`.
-        """
+        """Start at rest with the coil at `duty` since long ago. Raises ValueError when it contradicts `is_open`."""
         if timing.is_energised(duty, is_open) != is_open:
             raise ValueError(f"a valve at rest under duty {duty} cannot be open={is_open}")
         self.timing = timing
@@ -203,10 +188,7 @@ class Valve:
         self._moved: list[tuple[int, float]] = []
 
     def command(self, t_ns: int, duty: float) -> None:
-        """Apply `duty` (0..1) to the coil from `t_ns` on.
-
-        Raises ValueError for an instant before that of the last command.
-        """
+        """Apply `duty` (0..1) from `t_ns` on. Raises ValueError for an instant before that of the last command."""
         if self._command_ns is not None and t_ns < self._command_ns:
             raise ValueError(f"command at {t_ns} ns after one at {self._command_ns} ns")
         self._settle(t_ns)
@@ -248,10 +230,7 @@ class Valve:
         return self.timing.current(self._current, self.duty, t_ns - self._command_ns)
 
     def moves(self, until_ns: int) -> list[tuple[int, float]]:
-        """Return the moves (instant in ns, u = 1 open or 0 closed) up to and including `until_ns`, once each.
-
-        Call it only when every command up to `until_ns` has been given.
-        """
+        """Return the moves (ns, u = 1 open or 0 closed) up to `until_ns`, once each, when all commands until then are given."""
         self._settle(until_ns)
         moved = self._moved.copy()
         self._moved.clear()

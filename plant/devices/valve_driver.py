@@ -41,11 +41,7 @@ class ValveDriverConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 
 class _Channel(Generic[Input]):
-    """A receiver whose latest message also has to be younger than the timeout.
-
-    The age counts from the last accepted frame: a stream of frames that only
-    resynchronise the counter holds the receiver valid, but must not hold an old command in force.
-    """
+    """A receiver whose last accepted message, and not only its counter, must be younger than the timeout."""
 
     def __init__(self, message_type: type[Input], timeout_ns: int) -> None:
         self.can_id = codec.can_id_of(message_type)
@@ -113,9 +109,8 @@ class ValveDriver:
     def advance(
         self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
     ) -> list[tuple[int, Duties]]:
-        """Take the frames that arrived up to `until_ns`; return the changes of the duties.
+        """Return the changes of the duties up to `until_ns` by `deliveries` (arrival in ns, frame), other messages ignored.
 
-        `deliveries` are (arrival in ns, frame) in order; frames of other messages are passed over.
         Raises ValueError when an instant lies before the one reached.
         """
         changes: list[tuple[int, Duties]] = []

@@ -39,11 +39,9 @@ class ValveFault(FaultWindow, frozen=True, kw_only=True):
 
 
 class FaultyValve:
-    """One valve behind its faults: takes the driver's duties and returns those at the coil.
+    """One valve behind its faults, in their order: takes the driver's duties and returns those at the coil.
 
-    Several faults of one valve act in the order in which they are stated. Where faults change a
-    duty at the instant of a command, the command is taken first.
-    Raises InputError for a fault that ends before it starts, or for two of a kind at one time.
+    A command is taken before a fault of its instant. Raises InputError for a fault that ends before it starts, or two of a kind at once.
     """
 
     def __init__(
@@ -76,10 +74,7 @@ class FaultyValve:
         self._coming.append((t_ns, duty))
 
     def until(self, until_ns: int) -> Iterator[Command]:
-        """Return the changes of the duty at the coil up to and including `until_ns`.
-
-        The caller gives each to the valve before it asks for the next.
-        """
+        """Yield the changes of the duty at the coil up to `until_ns`; the valve takes each before the next is asked for."""
         while True:
             instants = [command[0] for command in self._coming[:1] + self._late[:1]]
             instants += [window.next_ns(self._done_ns) for window in self._faults]

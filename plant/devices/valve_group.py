@@ -25,10 +25,7 @@ class ValveGroup:
     def drive(
         self, until_ns: int, commands: Sequence[tuple[int, Duties]]
     ) -> tuple[list[Switch], list[Switch]]:
-        """Apply the driver's duties; return the switches of the coils and the moves of the plungers.
-
-        The moves are in order of time, then of the chambers.
-        """
+        """Apply the driver's duties; return the switches of the coils and the plungers' moves, by time, then chamber."""
         coils: list[Switch] = []
         for instant, duties in commands:
             for chamber, duty in enumerate(duties):

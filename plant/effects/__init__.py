@@ -1,8 +1,6 @@
-"""Candidate extensions of the model: what each changes, in which equation, within which bounds.
+"""Candidate extensions of the model, each stated in its file here alone: what changes, where, within which bounds.
 
 An effect changes a stroke's `Setup`; at its neutral parameters the stroke is the nominal one.
-Identifiers and classes are those of the vocabulary of causes. Everything about an effect is in its
-file here; no other module names one.
 """
 
 from __future__ import annotations
@@ -60,10 +58,7 @@ def look_alikes(name: str) -> tuple[str, ...]:
 
 
 def check_effects(effects: Mapping[str, Mapping[str, Parameter]], name: str) -> None:
-    """Check the effects of an extended model.
-
-    Raises InputError for unknown effects, parameters and units, and values outside the bounds.
-    """
+    """Check an extended model. Raises InputError for unknown effects, parameters, units, and values out of bounds."""
     for identifier, table in effects.items():
         try:
             item = effect(identifier)
@@ -73,20 +68,14 @@ def check_effects(effects: Mapping[str, Mapping[str, Parameter]], name: str) -> 
 
 
 def apply_effects(setup: Setup, parameters: ParameterSet) -> None:
-    """Apply every effect of an extended model to a stroke's setup.
-
-    Raises InputError as `check_effects` does.
-    """
+    """Apply every effect of an extended model to a stroke's setup. Raises InputError as `check_effects` does."""
     check_effects(parameters.effects, parameters.name)
     for identifier, table in parameters.effects.items():
         effect(identifier).apply(setup, {key: item.value for key, item in table.items()})
 
 
 def overridden(parameters: ParameterSet, changes: Mapping[str, Any]) -> ParameterSet:
-    """Return a set with some values replaced; effect.<id>.<parameter> adds an effect.
-
-    Raises InputError for unknown paths and wrong values.
-    """
+    """Replace values of a set; effect.<id>.<parameter> adds an effect. Raises InputError for unknown paths, wrong values."""
     effects = {name: dict(table) for name, table in parameters.effects.items()}
     for path, value in changes.items():
         if not path.startswith("effect."):

@@ -1,9 +1,7 @@
 """Terms that an effect adds to the equations: plain functions, compiled when they are first used.
 
-The function's address and the values of its parameters are written into a stroke's record; the
-equations call it in its slot. So no kernel is compiled again, and strokes without a term run as
-they do without this module.  A stroke with an added term takes the scalar kernel, also in a batch.
-Checked by: tests/unit/plant/effects/test_added_term.py
+A function's address and the values of its parameters are written into a stroke's record, and the equations call it in its
+slot: no kernel is compiled again. A stroke with an added term takes the scalar kernel, also in a batch.
 """
 
 from __future__ import annotations
@@ -79,10 +77,7 @@ class AddedTerm:
 
     @functools.cached_property
     def compiled(self) -> Any:
-        """The function compiled to a C function of six numbers and a pointer to its values.
-
-        Raises InputError with file, line and reason if numba cannot compile it.
-        """
+        """The function as a C function of six numbers and a pointer to its values. Raises InputError if numba refuses it."""
         function = numba.njit(error_model="numpy", forceinline=True)(self.function)
         passed = [
             f"a{ARGUMENTS[self.slot][name]}" if name in self.arguments else
@@ -109,10 +104,7 @@ class AddedTerm:
         return f"{file}:{lines[-1] if lines else first}: {self.name}"
 
     def add_to(self, setup: Setup, **values: float) -> None:
-        """Add the term, with these values of its other arguments, to a stroke.
-
-        Raises InputError if they are not its arguments, or the stroke has no room for them.
-        """
+        """Add the term, with values of its other arguments, to a stroke. Raises InputError for other names, or no room."""
         if set(values) != set(self.values):
             expected = ", ".join(self.values) or "none"
             raise InputError(
@@ -121,10 +113,7 @@ class AddedTerm:
         write_term(setup, self.slot, self.compiled.address, [values[n] for n in self.values])
 
     def tried(self, values: list[float]) -> list[tuple[dict[str, float], float]]:
-        """Return arguments all over their ranges, and the term there, for these values.
-
-        Raises InputError for a call that does not return.
-        """
+        """Return arguments all over their ranges, and the term there. Raises InputError for a call that does not return."""
         passed = np.array(values)
         call = self.compiled.ctypes
         pointer = passed.ctypes.data_as(call.argtypes[-1])
@@ -164,10 +153,7 @@ def shown(values: dict[str, float]) -> str:
 
 
 def write_term(setup: Setup, slot: float, address: int, values: Sequence[float]) -> None:
-    """Write a term, by its function's address and its values, into a stroke's parameters.
-
-    Raises InputError if there is no room for it.
-    """
+    """Write a term, by its function's address and its values, into a stroke. Raises InputError if there is no room."""
     p = setup.p
     count = int(p.added_count)
     used = int(p.added_used)

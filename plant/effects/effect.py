@@ -1,7 +1,4 @@
-"""What an effect is: all that is known about one candidate extension of the model.
-
-Kernel, fit, diagnosis and extended model read it from here, so each effect is stated in one file.
-"""
+"""What an effect is: all that is known about one candidate extension of the model."""
 
 from __future__ import annotations
 
@@ -110,10 +107,7 @@ class Effect:
         return self.scope(values) if callable(self.scope) else self.scope
 
     def apply(self, setup: Setup, values: Values) -> None:
-        """Change a stroke's setup; parameters left out are neutral.
-
-        Nothing changes while all that a fit may move are neutral.
-        """
+        """Change a stroke's setup unless all that a fit may move are neutral; parameters left out are neutral."""
         full = {item.name: values.get(item.name, item.neutral) for item in self.parameters}
         moved = (full[item.name] != item.neutral for item in self.parameters if item.fitted)
         if self.nonparametric or any(moved):
@@ -122,8 +116,7 @@ class Effect:
     def check(self, table: Mapping[str, Parameter], where: str) -> None:
         """Check a table of parameters.
 
-        Raises InputError, with `where` in front, for an unknown or missing parameter, another unit
-        and a value outside the bounds.
+        Raises InputError, `where` in front, for an unknown or missing one, another unit and a value out of bounds.
         """
         expected = {item.name: item for item in self.parameters}
         for name, given in table.items():

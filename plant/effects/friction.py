@@ -46,10 +46,7 @@ def scale_static(setup: Setup, values: dict[str, float]) -> None:
 
 
 def stribeck_feature(motion: Motion, shape: float) -> Floats:
-    """Return sgn(v) exp(-|v| / v_s).
-
-    [n], no unit.
-    """
+    """Return sgn(v) exp(-|v| / v_s) [n], no unit."""
     return np.asarray(np.sign(motion.speed_m_s) * np.exp(-np.abs(motion.speed_m_s) / shape))
 
 
@@ -114,10 +111,7 @@ SPOTS_M = (0.003, 0.0065, 0.010)
 
 
 def bump_feature(motion: Motion, shape: float) -> Floats:
-    """Return sgn(v) exp(-(x - x0)^2 / (2 w^2)), w a twelfth of the travel.
-
-    [n], no unit.
-    """
+    """Return sgn(v) exp(-(x - x0)^2 / (2 w^2)) [n], no unit, w a twelfth of the travel."""
     low, high = np.quantile(motion.position_m, (0.05, 0.95))
     return np.asarray(
         np.sign(motion.speed_m_s)
@@ -165,10 +159,7 @@ def bump(setup: Setup, values: dict[str, float]) -> None:
 
 
 def seal_feature(motion: Motion, shape: float) -> Floats:
-    """Return sgn(v) |P|.
-
-    [n] in Pa. Raises ValueError without a pressure.
-    """
+    """Return sgn(v) |P| [n] in Pa. Raises ValueError without a pressure."""
     if motion.pressure_pa is None:
         raise ValueError("no pressure; expected a motion with a pressure")
     return np.asarray(np.sign(motion.speed_m_s) * np.abs(motion.pressure_pa))

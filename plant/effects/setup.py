@@ -1,7 +1,4 @@
-"""A stroke made ready to run: packed parameters, valve timing, start, sensors.
-
-Effects (plant.effects) change a `Setup`; nothing else knows how.
-"""
+"""A stroke made ready to run: packed parameters, valve timing, start, sensors. Effects change it."""
 
 from __future__ import annotations
 
@@ -30,10 +27,7 @@ class Curve:
     nodes: Floats
 
     def at(self, where: Floats) -> Floats:
-        """Its values.
-
-        where, result: [n], in the units of its axes.
-        """
+        """Return its values [n] at places [n], in the units of its axes."""
         grid = self.low + self.step * np.arange(len(self.nodes))
         return np.asarray(np.interp(where, grid, self.nodes))
 
@@ -109,10 +103,7 @@ class Setup:
         )
 
     def initial_state(self, p: Parameters | None = None, quadratures: int = 0) -> Floats:
-        """Return the state at time 0 [states] in SI units.
-
-        p: the stroke's own parameters, or those of several such strokes for [strokes, states].
-        """
+        """Return the state at time 0 [states] in SI units, by parameters p also of several strokes: [strokes, states]."""
         conditions = self.conditions
         y = initial_state(
             conditions.system,
@@ -143,10 +134,7 @@ class Setup:
         return self.gauge_lag_s <= 0.0 and self.gauge_error_pa is None
 
     def reported_m(self, position_m: Floats) -> Floats:
-        """Return the position that the control unit reports where a right sensor would report `position_m`.
-
-        position_m, result: [n] in m.
-        """
+        """Return the reported position [n] in m where a right sensor would report `position_m` [n]."""
         reported = self.internal_gain * position_m
         if self.internal_error_m is not None:
             reported = reported + self.internal_error_m.at(position_m)

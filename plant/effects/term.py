@@ -39,10 +39,7 @@ LEVELS: dict[float, Callable[[Setup], float]] = {
 
 @dataclass(frozen=True)
 class TermForm:
-    """A term that a diagnosis tries: slot, variable, grid of nodes, and what they are called.
-
-    typical: size worth reporting; most: bound of its values, in typical sizes.
-    """
+    """A term that a diagnosis tries; typical: size worth reporting; most: bound of its values, in typical sizes."""
 
     name: str
     cause_class: str

@@ -1,7 +1,4 @@
-"""Quantities in which healthy units, and healthy strokes, differ: how a setup follows them.
-
-Checked by: tests/unit/sil/inference/test_fit.py
-"""
+"""Quantities in which healthy units, and healthy strokes, differ: how a setup follows them."""
 
 from __future__ import annotations
 
@@ -36,10 +33,7 @@ FACTORS: dict[str, tuple[int, ...]] = {
 }
 """Quantities that differ by a factor, and the parameters that it scales."""
 
-LIMITED = {
-    "critical": (Parameters.valve_b, 0.1, 0.58),
-    "kappa": (Parameters.air_kappa, 1.0, 1.45),
-}
+LIMITED = {"critical": (Parameters.valve_b, 0.1, 0.58), "kappa": (Parameters.air_kappa, 1.0, 1.45)}
 """Quantities of a cylinder between two limits: parameter, and limits. They move by the normal
 distribution function, so that a fit of them has no bounds."""
 

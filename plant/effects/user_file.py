@@ -1,9 +1,7 @@
 """A user's own effects: a Python file outside the package, of the form of the files in plant/effects.
 
-Everything wrong with it is found when it is loaded: its statements, the compilation of its terms,
-their values all over the ranges of position, speed and pressure, and that nothing changes while its
-parameters are neutral.
-Checked by: tests/unit/plant/effects/test_user_file.py
+What is wrong with it is found when it is loaded: statements, compilation of its terms, their values all over the ranges,
+and any change while its parameters are neutral.
 """
 
 from __future__ import annotations
@@ -83,10 +81,7 @@ def loaded_effects() -> dict[str, str]:
 
 
 def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
-    """Return the checked effects of a file's text; `name` replaces its path in messages.
-
-    Raises InputError for whatever is wrong with them.
-    """
+    """Return the checked effects of a file's text, `name` being its path in messages. Raises InputError for what is wrong."""
     module = ModuleType(f"opc4_effects_{Path(file).stem}")
     module.__file__ = file
     sys.modules[module.__name__] = module  # dataclasses of the file look their module up
@@ -113,10 +108,7 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
 
 
 def guarded(item: Any, file: str) -> Any:
-    """Return an effect whose errors, at any values, are of one line.
-
-    Raises InputError for something else than an effect.
-    """
+    """Return an effect whose errors, at any values, are one line. Raises InputError for something else than an effect."""
     if not isinstance(item, Effect):
         raise InputError(f"{file}: EFFECTS: {item!r}; expected functions under @effect(...)")
 
@@ -157,10 +149,7 @@ def described(error: BaseException, file: str, expected: str = EXPECTED) -> str:
 
 
 def check_effect(item: Effect, file: str, identifiers: set[str]) -> None:
-    """Check one effect: what it states, its terms, and that it is neutral at its neutral parameters.
-
-    Raises InputError with file and line.
-    """
+    """Check statements, terms and neutrality of one effect. Raises InputError with file and line."""
     where = where_of(item, file)
     for wrong in statement_errors(item, identifiers):
         raise InputError(f"{where}: {wrong}")
@@ -310,10 +299,7 @@ def check_neutral(item: Effect, setup: Setup, where: str) -> None:
 
 
 def evaluated(setup: Setup) -> Iterator[tuple[str, float]]:
-    """Yield the calls of the terms added to a setup, all over their ranges, and what they return.
-
-    Raises InputError for a value that is not finite.
-    """
+    """Yield the calls of a setup's added terms all over their ranges, and results. Raises InputError if not finite."""
     rows = setup.p.added[: int(setup.p.added_count)].tolist()
     for term, (slot, address, first) in product(ALL_TERMS, rows):
         if term.slot != slot or term.compiled.address != address:

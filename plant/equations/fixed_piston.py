@@ -1,9 +1,8 @@
 """The fixed-piston actuator: right-hand side, guards and resets (thesis 3.46-3.52 with errata).
 
-V1 = V10 + A1 x, V2 = V20 - A2 x, 0 <= x <= stroke; the parts are those of the length stroke.  A
-user's cylinder has balances of mass and energy in place of the thesis's exponents.  Here
-`fixed_rates` has 3.46 (position), 3.47 (force balance, with `fixed_drive` and `fixed_friction`) and
-3.48, 3.49 (P_1, P_2); `plant.parts.chamber.chamber` 3.50, 3.51 (flows); `plant.parts.friction` 3.52.
+V1 = V10 + A1 x, V2 = V20 - A2 x, 0 <= x <= stroke. A user's cylinder has balances of mass and energy in place of the thesis's
+exponents. `fixed_rates`: 3.46 (position), 3.47 (forces, with `fixed_drive`, `fixed_friction`), 3.48, 3.49 (P_1, P_2);
+`plant.parts.chamber.chamber`: 3.50, 3.51 (flows); `plant.parts.friction`: 3.52.
 """
 
 from __future__ import annotations

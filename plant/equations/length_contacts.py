@@ -71,10 +71,7 @@ def piston_holds(direction, k, y):
 
 @inlined
 def bond(contact, y, p):
-    """Pull that this contact of stay and piston bears here [N].
-
-    None in the gear in which the piston must part: of a nut in neutral, of a collar at an end.
-    """
+    """Pull that this contact bears here [N]; none where the piston must part: of a nut in neutral, of a collar at an end."""
     away = abs(y.x_s)
     parts = (contact == NUT and away <= TOUCH_M) or (
         contact == COLLAR and away >= end_stop(p) - TOUCH_M
@@ -91,10 +88,7 @@ def in_the_way(d, k, y, m, p):
 
 @inlined
 def leaving_margin(d, k, y, m, p, force, caps):
-    """Margin before the stay, with the other piston, leaves its contact with piston k [N].
-
-    caps: static friction of stay, piston 1, piston 2 in direction d; UNREACHED if it cannot leave.
-    """
+    """Margin before the stay leaves its contact with piston k [N]; caps: static friction of stay and pistons that way."""
     contact = m[JOINED + k]
     if contact == FREE or d != -sign_ahead(k, contact):
         return UNREACHED
@@ -110,10 +104,7 @@ def leaving_margin(d, k, y, m, p, force, caps):
 
 @inlined
 def stay_margin(d, y, m, p, force, static1, static2):
-    """Margin before the stay, at rest, moves in direction d (1, -1) with what it takes along [N].
-
-    static1, static2: static friction of the pistons that way.
-    """
+    """Margin before the stay at rest moves in direction d with what it takes along [N]; static1, static2: the pistons' friction."""
     high, low = stay_limits(y, m, p)
     stay_cap = stay_static(y.x_s, d, p)
     if (d > 0 and y.x_s >= high - TOUCH_M) or (d < 0 and y.x_s <= low + TOUCH_M):
@@ -241,10 +232,7 @@ def guard_piston(y, m, p, k, g, low):
 
 @inlined
 def guard_contact(y, m, p, k, need, force, g, low):
-    """Guard of the contact of stay and piston k, that opens; returns the lowest so far.
-
-    need: force that the piston needs to move as the stay does [N].
-    """
+    """Guard of the contact of stay and piston k, which needs a force [N] to move along; returns the lowest so far."""
     contact = m[JOINED + k]
     if contact != FREE:
         push = sign_ahead(k, contact) * (need - force) + bond(contact, y, p)
@@ -265,10 +253,7 @@ def guard_damper(y, m, p, g, low):
 
 @called
 def guards(t, y, m, p, g):
-    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.  Returns the lowest.
-
-    Shifted by a rounding-sized amount so that a guard just fired does not fire again.
-    """
+    """Guards of the present modes -> g[0:GUARDS], positive until the event, rounding apart. Returns the lowest."""
     low = UNREACHED
     for k in range(GUARDS):
         g[k] = low

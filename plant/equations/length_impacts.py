@@ -1,7 +1,4 @@
-"""Impacts of the length stroke: stops and closing contacts at one instant.
-
-Momentum is conserved; a stop takes it.
-"""
+"""Impacts of the length stroke: stops and closing contacts at one instant; momentum is conserved but by stops."""
 
 from __future__ import annotations
 
@@ -26,10 +23,7 @@ SLOW_M_S = 1e-5
 
 @inlined
 def meets(contact, relative, slow):
-    """Return True if touching bodies change their velocities: they close, or part too slowly to count.
-
-    relative: rate at which their gap grows [m/s]; slow: see `slow_partings`.
-    """
+    """Return True if touching bodies close, or part more slowly than `slow`; relative: rate at which they part [m/s]."""
     if contact == FREE or abs(relative) <= SAME_M_S:
         return False
     return (relative if contact == NUT else -relative) < slow
@@ -37,10 +31,9 @@ def meets(contact, relative, slow):
 
 @inlined
 def join_velocity(y, p, k, slow):
-    """Inelastic contact of the stay and piston k; returns the kinetic energy lost [J].
+    """Join stay and piston k, inelastically; returns the kinetic energy lost [J].
 
-    Conserves momentum.  The other piston takes part if it touches and does not part (faster than
-    `slow` [m/s]).
+    The other piston takes part if it touches and does not part (faster than `slow` [m/s]).
     """
     vs = y.v_s
     one = sense(k) * piston_of(y, k).v
@@ -74,10 +67,7 @@ def slow_parting(y, k, relative, p):
 
 @called
 def slow_partings(t, y, m, p):
-    """Speeds below which pistons 1 and 2 do not count as parting from the stay [m/s].
-
-    SLOW_M_S where the accelerations, each body alone, would close the contact again; else 0.
-    """
+    """Speeds below which pistons 1, 2 do not count as parting [m/s]: not 0 where the contact would close again."""
     m.stay = 0
     m.piston_1 = 0
     m.piston_2 = 0
@@ -89,10 +79,7 @@ def slow_partings(t, y, m, p):
 
 @called
 def impacts(t, y, m, p, impact):
-    """Resolve all closing contacts and stops at this instant -> impact.
-
-    Leaves the bodies' modes of motion to `settle`.
-    """
+    """Resolve all closing contacts and stops at this instant -> impact; `settle` chooses the modes of motion."""
     slow1, slow2 = slow_partings(t, y, m, p)
     impact.lost = 0.0
     impact.speed = 0.0

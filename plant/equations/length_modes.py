@@ -1,7 +1,6 @@
 """Modes that continue the length stroke's motion: who is joined, who rests, who moves.
 
-The one-dimensional contact problem of stay and two pistons, solved as pool-adjacent-violators does
-(`join`, `part`).  Friction at rest is set-valued.
+The one-dimensional contact problem of three bodies by pool-adjacent-violators (`join`, `part`), friction set-valued.
 """
 
 from __future__ import annotations
@@ -26,12 +25,7 @@ from plant.equations.length_stroke import (
 )
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE
-from plant.parts.friction import (
-    piston_sliding,
-    piston_static,
-    stay_sliding,
-    stay_static,
-)
+from plant.parts.friction import piston_sliding, piston_static, stay_sliding, stay_static
 
 # Equal velocities of touching bodies, up to rounding.
 SAME_M_S = 1e-10
@@ -87,10 +81,7 @@ def lone_piston(y, k, force, p):
 
 @inlined
 def joined_acceleration(y, m, p, force, c1, c2):
-    """Acceleration of the stay with the pistons joined to it [m/s^2].
-
-    c1, c2: contacts of pistons 1 and 2.
-    """
+    """Acceleration of the stay with the pistons joined to it [m/s^2], by their contacts c1 and c2."""
     high, low = stay_limits(y, m, p)
     drive = force[0]
     mass = p.m_s
@@ -125,10 +116,9 @@ def closing(y, k, p, joined, touch, relative):
 
 @inlined
 def join(y, m, p, force):
-    """Contacts that close, and accelerations: contact of piston 1 and 2, then of stay, piston 1, 2.
+    """Contacts of pistons 1 and 2 that close, and the accelerations of stay, piston 1 and 2.
 
-    Bodies start apart; touching bodies whose accelerations (or pushes at rest) would close the
-    contact are joined, until none closes.
+    From apart: touching bodies whose accelerations (or pushes at rest) would close the contact are joined, until none does.
     """
     touch1 = touching(y, 0, p) if abs(opening(y, 0)) <= SAME_M_S else FREE
     touch2 = touching(y, 1, p) if abs(opening(y, 1)) <= SAME_M_S else FREE
@@ -205,11 +195,7 @@ def settle_oil(y, outward, m, p):
 
 @inlined
 def settle_damper(y, m, p):
-    """Choose the side on which the damper acts, and whether its oil rests.
-
-    At neutral: the side to which the stay goes; one that stays there keeps its side.  The oil of the
-    side it comes to is at atmospheric pressure.
-    """
+    """Choose the damper's side, at neutral the one to which the stay goes, and whether its oil rests."""
     before = m.side
     if abs(y.x_s) > TOUCH_M:
         m.side = 1 if y.x_s > 0.0 else -1
@@ -227,10 +213,7 @@ def settle_damper(y, m, p):
 
 @called
 def settle(t, y, m, p):
-    """Choose the modes that continue the motion from here.
-
-    Touching bodies that break away together are all sliding from there on.
-    """
+    """Choose the modes that continue the motion; touching bodies that break away together all slide."""
     note_side(y, m, p)
     if m.damper != 0:
         side = float(m.side)

@@ -28,14 +28,7 @@ from plant.kernel.layout import (
     piston_state,
     quadratures_of,
 )
-from plant.parts.chamber import (
-    all_leaks,
-    chamber,
-    exponents,
-    line_feed,
-    piston_leak,
-    store_chamber,
-)
+from plant.parts.chamber import all_leaks, chamber, exponents, line_feed, piston_leak, store_chamber
 from plant.parts.damper import oil_rate
 from plant.parts.friction import piston_sliding, stay_sliding
 from plant.parts.loads import loaded, store_loads
@@ -90,10 +83,7 @@ def piston_force(y, m, k, p):
 
 @called
 def net_forces(y, m, p, t):
-    """Driving forces minus sliding friction of stay, piston 1, piston 2 [N].
-
-    A body at rest gets its driving force alone.
-    """
+    """Driving forces of stay, piston 1, piston 2, less the sliding friction of those that move [N]."""
     d = m.stay
     stay = loaded((y.p_b - y.p_f) * p.area_s, t, y.x_s, y.v_s, float(m.side), y.p_oil, m, p)
     if d != 0:
@@ -141,10 +131,7 @@ def pushing(y, m, k, force, p):
 
 @inlined
 def blocked_force(y, m, p, force):
-    """Driving force of the stay and of the pistons at rest on it against the synchronizer [N].
-
-    Positive outward; without friction, as the static friction's share is not determined.
-    """
+    """Driving force of stay and pistons resting on it against the synchronizer, outward, without friction [N]."""
     total = force[0] + pushing(y, m, 0, force[1], p) + pushing(y, m, 1, force[2], p)
     return total * m.blocked
 

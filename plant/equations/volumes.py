@@ -1,7 +1,4 @@
-"""What the chambers hold against what the pistons sweep: a chamber must keep a volume.
-
-Checked by: tests/unit/plant/equations/test_volumes.py
-"""
+"""What the chambers hold against what the pistons sweep: a chamber must keep a volume."""
 
 from __future__ import annotations
 
@@ -49,10 +46,7 @@ def emptied(
     chambers: Iterable[str] = "12BNF",
     share: float = 0.0,
 ) -> str:
-    """Return which chamber keeps no more than a share of its volume, and what it needs; or "".
-
-    states: arrays [states] in SI units.
-    """
+    """Return which chamber keeps no more than a share of its volume in states [states] (SI), and what it needs; or ""."""
     listed = list(states)
     volumes_of_states = [volumes_m3(system, p, y) for y in listed]
     for k, chamber in enumerate(CHAMBER_NAMES[system]):

@@ -1,7 +1,4 @@
-"""Events of the hybrid integrator: guards of the present modes, their location, what follows them.
-
-Checked by: tests/physics/
-"""
+"""Events of the hybrid integrator: guards of the present modes, their location, what follows them."""
 
 from __future__ import annotations
 
@@ -54,10 +51,7 @@ def smallest(g):
 
 @inlined
 def lowest_fraction(v0, v1, s0, s1):
-    """Where in 0..1 a quantity that ends as it began comes below zero, 1 if nowhere.
-
-    Asked of the cubic through both ends with the slopes s0, s1 there (per step).
-    """
+    """Where in 0..1 the cubic from v0 to v1 with slopes s0, s1 (per step) comes below zero, 1 if nowhere."""
     if not (s0 < 0.0 and s1 > 0.0):
         return 1.0
     d = v1 - v0
@@ -80,11 +74,7 @@ def turn_fraction(d, h, v, v1, a, a1):
 
 @called
 def hidden_turn(h, y1, rate0, rate1, o):
-    """Fraction of a step at which a body has turned although both ends move the same way, or 1.
-
-    A body that would rest for a moment turns twice within a long step; the guards at its ends do
-    not see it.
-    """
+    """Fraction of a step at which a body has turned, and turned back before its end, or 1."""
     m = o.m
     # also of the fixed piston: its velocity has the index of the stay's, and no piston moves
     y = length_state(o.y)
@@ -113,10 +103,7 @@ def meeting_fraction(h, gap, gap1, opening, opening1, p):
 
 @called
 def hidden_meeting(h, y1, o):
-    """Fraction of a step at which stay and piston have met although both ends are apart, or 1.
-
-    Two bodies that graze each other close and part again within one step.
-    """
+    """Fraction of a step at which stay and piston have met, and parted again before its end, or 1."""
     m = o.m
     p = o.p
     if m.system == FIXED:
@@ -134,10 +121,7 @@ def hidden_meeting(h, y1, o):
 
 @inlined
 def root_fraction(low, high, third, a, b, c):
-    """Where a quantity that is a >= 0 at low, b < 0 at high, c at third crosses zero.
-
-    Inverse quadratic interpolation through all three; the secant where that leaves the bracket.
-    """
+    """Where a quantity, a >= 0 at low, b < 0 at high, c at third, crosses zero: inverse quadratic, or the secant."""
     fraction = high + (low - high) * b / (b - a)
     if c != a and c != b:
         curved = (
@@ -154,10 +138,8 @@ def root_fraction(low, high, third, a, b, c):
 def locate(t, h, high, dense, y, o, n_all):
     """Fraction of the step at which the first guard crosses zero, and that guard; y: the state there.
 
-    scratch.before: guards at the step's start, all positive; scratch.guards: at its fraction `high`,
-    one negative; both are overwritten.  A bracket whose upper end is replaced by the foreseen crossing
-    of whichever negative guard would cross first, with bisection when it stalls, until it is where it
-    is foreseen.
+    scratch.before: guards at the step's start, all positive, scratch.guards: at its fraction `high`, one negative; both are
+    overwritten. The bracket's upper end becomes the crossing that is foreseen first, with bisection when it stalls.
     """
     low = 0.0
     third = high

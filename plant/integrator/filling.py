@@ -1,7 +1,4 @@
-"""Chambers that fill or empty while nothing moves: their pressures by `filling_curves`.
-
-Checked by: tests/unit/plant/integrator/test_filling.py
-"""
+"""Chambers that fill or empty while nothing moves: their pressures by `filling_curves`."""
 
 from __future__ import annotations
 
@@ -105,10 +102,7 @@ def chamber_pressure(dt, row, table):
 
 @called
 def chamber_samples(row, table, t, samples, begin, end, out, stride):
-    """Pressures of a chamber at the samples from `begin` to `end` -> out[i * stride].
-
-    t: when its row was written.  The same numbers as `chamber_pressure`, region by region.
-    """
+    """Pressures of a chamber at samples from `begin` to `end` -> out[i * stride], as `chamber_pressure`; t: of its row."""
     kind = row.kind
     reference = row.reference
     if kind == DECAY:
@@ -149,10 +143,9 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
 
 @called
 def neighbour_samples(row, t, c, rows, begin, end, out, task):
-    """Pressures of a chamber at the samples from `begin` to `end` -> out, stored values reused.
+    """Pressures of a chamber at samples from `begin` to `end` -> out, next to what the grid's stroke stored.
 
-    The stroke that writes the grid evaluates its curve and stores kind, position, value and slope in
-    rows[i * STORED_ROW :]; the others, next to it, go along that slope.
+    It stores kind, position, value and slope in rows[i * STORED_ROW :]; the others go along that slope.
     """
     kind = row.kind
     decays = kind == DECAY

@@ -63,10 +63,7 @@ def slope_of(r, charging, c):
 
 @called
 def fill_cells(start, step, cells, charging, c, rate, out):
-    """Cells of one region -> out, by classical Runge-Kutta; its end, 0 if the flow stops or turns.
-
-    Cubic Hermite: r = c0 + w (c1 + w (c2 + w c3)) at the fraction w of a cell.
-    """
+    """Cells r = c0 + w (c1 + w (c2 + w c3)) of a region -> out, by Runge-Kutta; its end, 0 if the flow stops or turns."""
     r = start
     substeps = 8
     h = step / substeps
@@ -145,10 +142,7 @@ def fill_curve(charging, c, curve):
 
 @kernel
 def tabulate(c, table):
-    """Both curves of a flow map -> table [TABLE]; False if it has no such curves.
-
-    c : float64 [FlowMap.size]
-    """
+    """Both curves of a flow map c [FlowMap.size] -> table [TABLE]; False if it has no such curves."""
     coefficients = flow_map(c)
     out = view(table, 0)
     return fill_curve(True, coefficients, curve_of(out)) and fill_curve(
@@ -166,10 +160,7 @@ def _filling_curves(flow: bytes) -> NDArray[np.float64]:
 
 
 def filling_curves(c: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the filling curves [TABLE] of a flow map [FlowMap.size]; NO_CURVES if it has none.
-
-    Tabulated once per map; several maps [strokes, FlowMap.size] have none in common.
-    """
+    """Return the filling curves [TABLE] of a flow map [FlowMap.size], cached; NO_CURVES if it, or several, have none."""
     return NO_CURVES if c.ndim == 2 and len(c) > 1 else _filling_curves(c.tobytes())
 
 
@@ -207,10 +198,7 @@ def faded(x):
 
 @called
 def curve_tau(curve, r):
-    """Return tau at which the curve passes the ratio r: the inverse of curve_value.
-
-    r must lie between the start of the curve (any lower for charging) and the end of its table.
-    """
+    """Return tau at ratio r, from the start (any lower for charging) to the table's end: inverse of curve_value."""
     start = curve.start
     split = curve.split
     sign = 1.0 if split > start else -1.0

@@ -1,8 +1,4 @@
-"""A hybrid system in motion: state, modes, valves and the kernel's call, for both systems.
-
-`HybridSystem` is what `LengthStroke` and `FixedPiston` share: it holds the arrays, advances them in
-simulated nanoseconds, names the events and closes the balances.
-"""
+"""A hybrid system in motion: state, modes, valves and the kernel's call, events by name, balances."""
 
 from __future__ import annotations
 
@@ -94,10 +90,7 @@ class Balance:
 
 
 class HybridSystem:
-    """State, modes and valves of one actuator, advanced in simulated time.
-
-    Parameters are the packed arrays of plant.kernel.packing; use `LengthStroke` or `FixedPiston`.
-    """
+    """State, modes and valves of one actuator, advanced in simulated time."""
 
     chambers: tuple[str, ...]
 

@@ -1,11 +1,7 @@
-"""The hybrid integrator: continuous steps, events located on the dense output, resets.
+"""The hybrid integrator: one kernel for a stroke in one call, or pieces under lockstep.
 
-One kernel for every use: a stroke in one call, or pieces under lockstep.  Valve switchings are
-known instants and split the steps; everything else (sticking, slipping, contacts, stops, the
-synchronizer, the damper's modes) is a guard, located to rounding on the step's interpolant, after
-which the modes are chosen anew.  Nothing is smoothed.
-
-Checked by: tests/physics/
+Valve switchings are known instants and split the steps; all else is a guard, located to rounding on the step's interpolant,
+after which the modes are chosen anew. Nothing is smoothed.
 """
 
 from __future__ import annotations
@@ -82,10 +78,7 @@ def rests_are_plain(p, m):
 
 @called
 def handle_event(index, r, k, o, task):
-    """Reset at an event and store it; AGAIN, or TOO_MANY_EVENTS.
-
-    A corner of a law is no event, but counts towards the limit.
-    """
+    """Reset at an event and store it; AGAIN, or TOO_MANY_EVENTS, towards which corners of a law count as well."""
     after_event(r.time, index, o)
     k.fresh = 1
     if index >= Guard.CAPPED:
@@ -100,10 +93,7 @@ def handle_event(index, r, k, o, task):
 
 @called
 def begin_piece(r, k, o, task, leaping):
-    """Begin after something has changed: act on guards already passed, pass a rest in one step.
-
-    Returns STEPPING, AGAIN after an event or a rest, or the reason to stop.
-    """
+    """Begin after a change: act on guards already passed, pass a rest in one step; STEPPING, AGAIN or why it stops."""
     derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
     if all_guards(r.time, o.y, o, o.scratch.guards) < 0.0:
         # a jump of input or parameters has already passed a guard
@@ -197,10 +187,7 @@ def find_event(r, k, o, task):
 
 @called
 def finish_step(r, k, o, task):
-    """Sample the step just accepted, up to the first event in it, and act on that.
-
-    Returns STEPPING, AGAIN after an event, or the reason to stop.
-    """
+    """Sample the step just accepted, up to the first event in it, and act on that; STEPPING, AGAIN or why it stops."""
     h = r.step
     last = h == r.next - r.time
     theta, index = find_event(r, k, o, task)
@@ -223,10 +210,7 @@ def finish_step(r, k, o, task):
 
 @called
 def next_event(r, k, o, task, leaping):
-    """One turn of the event loop: a switch, an event, a rest or a step.
-
-    Returns STEPPING or AGAIN to go on, DONE at the end, or the reason to stop.
-    """
+    """One turn of the event loop: a switch, an event, a rest or a step; STEPPING, AGAIN, DONE or why it stops."""
     if apply_switches(r, k, o, task):
         k.fresh = 1
         r.wanted = min(r.wanted, 1e-3)

@@ -1,8 +1,6 @@
 """The event loop's parts that one stroke and the lanes of a batch share.
 
-A loop goes from event to event.  `r` has time, end, next, wanted and step, `k` the counters, of one
-stroke (`plant.integrator.workspace.Run` and `Control`) or of a lane (`plant.batch.lane_steps.Lane` and
-`Memory`).
+`r` has time, end, next, wanted and step, `k` the counters: `workspace.Run` and `Control`, or `lane_steps.Lane` and `Memory`.
 """
 
 from __future__ import annotations
@@ -21,14 +19,7 @@ from plant.integrator.filling import (
 )
 from plant.integrator.steppers import interpolate, interpolated
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import (
-    CHAMBERS,
-    FIRST_PRESSURE,
-    EventRow,
-    GridRow,
-    event_row,
-    grid_row,
-)
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, EventRow, GridRow, event_row, grid_row
 
 # Why a loop stopped.
 DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
@@ -103,10 +94,7 @@ def grid_step(task, number):
 
 @called
 def choose_step(r, k, task):
-    """Choose the step: what the error control wants, up to the next switch; or the grid's.
-
-    Returns STEPPING, or OFF_GRID.
-    """
+    """Choose the step: what the error control wants, up to the next switch; or the grid's. STEPPING, or OFF_GRID."""
     if task.use == FOLLOW_GRID:
         if k.steps >= task.steps:
             return OFF_GRID

@@ -1,7 +1,4 @@
-"""A rest as one step: from now to the next switch, or until something breaks away.
-
-Checked by: tests/unit/plant/integrator/test_filling.py, tests/unit/plant/batch/test_batch.py
-"""
+"""A rest as one step: from now to the next switch, or until something breaks away."""
 
 from __future__ import annotations
 
@@ -26,11 +23,7 @@ def pressures_after(dt, fixed, w, table, y):
 
 @called
 def lowest_corner(t, fixed, y1, corner, o):
-    """Lowest guard over all mixtures of the pressures of y and of y1 but y and y1 themselves.
-
-    At rest every guard is a smallest of linear functions of the pressures, so its lowest value on
-    the box between the two states is at a corner of it.
-    """
+    """Lowest guard over all mixtures of the pressures of y and y1: at rest guards are minima of linear functions."""
     w = o.scratch.rest
     count = 2 if fixed else 3
     before = pressures(fixed, o.y)
@@ -51,10 +44,9 @@ def lowest_corner(t, fixed, y1, corner, o):
 
 @called
 def rest_jump(t, span, y1, corner, o, table, n):
-    """Rest from t on, at most for `span` -> time passed, and the guard that ended it or -1.
+    """Rest from t on, at most for `span` -> time passed, and the guard that ended it or -1; all positive before.
 
-    y1 holds the state then, scratch.guards its guards, scratch.rest how the chambers go on.  Time 0
-    without a guard: no closed form here.  All guards must be positive at the start.
+    y1: the state then, scratch.guards its guards, scratch.rest the chambers' curves. Time 0 without a guard: no closed form.
     """
     g = o.scratch.guards
     w = o.scratch.rest
@@ -83,10 +75,7 @@ def rest_jump(t, span, y1, corner, o, table, n):
 
 @called
 def pass_rest(s, k, o, end, corner, task, n):
-    """Pass a rest in one step: AGAIN, NOT_FINITE, or STEPPING without a closed form; and its guard or -1.
-
-    s, k: as in `plant.integrator.loop`; end, corner: room for two states of n values.
-    """
+    """Pass a rest of n states in one step: AGAIN, NOT_FINITE, or STEPPING without a closed form; and its guard or -1."""
     left = s.next - s.time
     dt, index = rest_jump(s.time, left, end, corner, o, task.table, n)
     if not (dt > 0.0 or index >= 0):
@@ -105,8 +94,7 @@ def pass_rest(s, k, o, end, corner, task, n):
 def crossing(t, span, low_value, high_value, y1, o, table):
     """Time within `span` at which the lowest guard has just become negative; y1 is the state there.
 
-    Regula falsi with the Illinois weights, aimed at BREAKAWAY_MARGIN_N below zero and met to a
-    thousandth of it (derivatives need it); bisection every fourth time.
+    Regula falsi (Illinois), to BREAKAWAY_MARGIN_N below zero within a thousandth, which derivatives need.
     """
     g = o.scratch.guards
     w = o.scratch.rest

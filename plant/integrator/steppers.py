@@ -1,11 +1,8 @@
 """One step of an explicit and of an L-stable Runge-Kutta method, with dense output.
 
-`explicit_step`: Dormand-Prince 5(4), seven stages, first same as last, order-4 dense output.
-`stiff_step`: Rodas4, order 4(3), six stages, L-stable, for the compressible oil damper; its
-Jacobian is taken by forward differences, column by column, from the same right-hand side.
-Sources: Dormand and Prince 1980; Hairer, Norsett, Wanner, Solving ODEs I (II.5, II.6); Hairer,
-Wanner, Solving ODEs II (IV.7, IV.10).
-Checked by: tests/physics/test_steppers.py (order of convergence, dense output, stiff decay)
+`explicit_step`: Dormand-Prince 5(4), order-4 dense output. `stiff_step`: Rodas4, order 4(3), for the compressible oil
+damper, its Jacobian by forward differences. Sources: Dormand and Prince 1980; Hairer, Norsett, Wanner, Solving ODEs I
+(II.5, II.6); Hairer, Wanner, Solving ODEs II (IV.7, IV.10). Checked by: tests/physics/test_steppers.py
 """
 
 from __future__ import annotations
@@ -300,10 +297,7 @@ def stiff_stage(number, o, r, n, n_all, quadratures):
 
 @called
 def stiff_step(o, r, n, n_all, quadratures):
-    """Rodas4 from y (k[6] must hold f(t, y)) -> y1, stages in k[0:6]; returns error norm.
-
-    `differentiate` must have been called at (t, y).
-    """
+    """Rodas4 from y (k[6] = f(t, y), derivatives by `differentiate`) -> y1, stages in k[0:6]; returns error norm."""
     h = r.step
     y = o.y
     k = r.k

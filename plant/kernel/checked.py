@@ -1,7 +1,4 @@
-"""Views as slices of numpy arrays, which check their bounds: for tests and debuggers (OPC4_CHECKED_KERNELS=1).
-
-The same interface as the compiled views of `plant.kernel.views`.
-"""
+"""The views of `plant.kernel.views` as slices of numpy arrays, which check their bounds (OPC4_CHECKED_KERNELS=1)."""
 
 from __future__ import annotations
 
@@ -13,10 +10,7 @@ from plant.kernel.records import Record
 
 
 def view(array, offset):
-    """Return the view of an array from element `offset` on.
-
-    Raises TypeError if it is not C-contiguous.
-    """
+    """Return the view of an array from element `offset` on. Raises TypeError if it is not C-contiguous."""
     if not array.flags.c_contiguous:
         raise TypeError("a view needs a C-contiguous array")
     return array.reshape(-1)[offset:]

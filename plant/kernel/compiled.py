@@ -1,10 +1,6 @@
 """Compilation of the plant's equations by numba, with a cache that cannot outlive an edit.
 
-numba's own disk cache looks at the file of the compiled function only, so an edited callee in
-another file would silently give the old result. Here the cache folder is named after a hash of
-every kernel source, of numba's version and of the interpreter's: any edit means another folder.
-
-Checked by: tests/unit/plant/kernel/test_compiled.py
+numba's disk cache misses an edited callee in another file: the folder is named after a hash of all kernel sources and versions.
 """
 
 from __future__ import annotations
@@ -56,10 +52,7 @@ def kernel_hash(package: Path | None = None) -> str:
 
 @functools.cache
 def cache_folder() -> Path:
-    """Folder of the compiled kernels, in $NUMBA_CACHE_DIR or the user's cache folder.
-
-    Where that cannot be written, a temporary folder for this process and those that it starts.
-    """
+    """Folder of the compiled kernels: in $NUMBA_CACHE_DIR, the user's cache folder, or else a temporary one."""
     base = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("opc4-sil")
     folder = Path(base) / f"kernel-{kernel_hash()}"
     try:

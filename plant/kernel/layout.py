@@ -1,7 +1,6 @@
-"""The records that the compiled equations read and write: parameters, states, modes, flow maps.
+"""The records that the compiled equations read and write; symbols follow the thesis.
 
-Symbols follow the thesis: s stay, p piston, 1 and 2 the two pistons (or chambers of the fixed piston),
-B, N and F the chambers of the length stroke.
+s stay, p piston, 1 and 2 the two pistons (or chambers of the fixed piston), B, N and F the chambers of the length stroke.
 """
 
 from __future__ import annotations
@@ -86,10 +85,7 @@ class Quadratures(Record):
 
 
 class Modes(Record):
-    """Modes of motion (int64).
-
-    Status of a body: 0 at rest, +1 / -1 moving in the direction of x_s (fixed piston: of x).
-    """
+    """Modes of motion (int64); of a body 0 at rest, +1 / -1 moving in the direction of x_s (fixed piston: of x)."""
 
     stay: Value
     piston_1: Value
@@ -121,10 +117,7 @@ ADDED_VALUES = MOST_ADDED * TERM_NODES
 
 
 class Parameters(Record):
-    """Parameters of one stroke.
-
-    `given` by a parameter set at the path of the actuator, fixed piston or length stroke.
-    """
+    """Parameters of one stroke, as far as `given` at the path of either actuator in a parameter set."""
 
     # gas
     r_air: Value = given("gas.R_air")
@@ -281,10 +274,7 @@ class FlowMap(Record):
 
 
 class Guard(IntEnum):
-    """Guards of the modes: each is positive until its event, after which it is named.
-
-    From CAPPED on: corners of a law, at which nothing happens but a new step.
-    """
+    """Guards of the modes, each positive until its event; from CAPPED on corners of a law, no events."""
 
     TURN = 0
     PISTON_1_TURN = 1

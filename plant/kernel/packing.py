@@ -146,9 +146,8 @@ def initial_state(
 ) -> Floats:
     """State at rest [states] in SI units: fixed piston at a position [m], length stroke in gear N, B or F.
 
-    p: of one stroke, or of several for states [strokes, states].  Chambers named in `charged` are at
-    the supply pressure, the others at the atmosphere's. A piston measured to start beyond its stop
-    starts on it.
+    p: also of several strokes, for [strokes, states]. Chambers in `charged` are at the supply pressure, the others at the
+    atmosphere's. A piston measured beyond its stop starts on it.
     """
     record = state_record(system)
     size = record.size

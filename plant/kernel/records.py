@@ -1,9 +1,6 @@
-"""Records: flat arrays whose elements have names.
+"""Records: flat arrays whose elements have names, which views (`plant.kernel.views`) and Python share.
 
-A subclass of `Record` lists its fields in order, and is the only place that knows it.  The compiled
-equations read the same names from views (`plant.kernel.views`); Python code wraps an array in the
-record: `p.leak_atm` is the element (or the column, of an array with one row per stroke), and
-`Parameters.leak_atm` its index.
+`p.leak_atm` is the element (of an array with one row per stroke: the column), `Parameters.leak_atm` its index.
 """
 
 from __future__ import annotations
@@ -19,10 +16,7 @@ Value: TypeAlias = Any
 
 
 class Block(NamedTuple):
-    """Shape of a field of several elements: `length` in all, in rows of `row` (0: no rows).
-
-    paths: see `given`.
-    """
+    """Shape of a field of several elements: `length` in all, in rows of `row` (0: none); paths: see `given`."""
 
     length: int
     row: int = 0
@@ -78,10 +72,7 @@ RECORDS: dict[str, type[Record]] = {}
 
 
 class Record:
-    """Named access to an array of shape [size] or [strokes, size]; subclasses declare the fields.
-
-    Indices from the class work as well: `record[Parameters.leak_atm]`.
-    """
+    """Named access to an array of shape [size] or [strokes, size]; `record[Parameters.leak_atm]` works as well."""
 
     __slots__ = ("array",)
     fields: ClassVar[dict[str, Field]]

@@ -113,10 +113,7 @@ def _discarding(typing_context, v):
 
 
 def _named(record: type[Record], zeros: tuple[str, ...] = ()):
-    """Return the function that makes a view, or a C-contiguous array, a view of a record.
-
-    zeros: fields that read as 0, and what depends on them is compiled away.
-    """
+    """Return the function that makes a view or C-contiguous array one of a record; `zeros`: fields that read as 0."""
     name = record.__name__
 
     @intrinsic

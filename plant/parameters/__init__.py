@@ -1,8 +1,7 @@
-"""Parameter sets: every number with its value, unit and source.
+"""Parameter sets: every number with its value, unit and source, in TOML files of sections.
 
-A set is a TOML file of sections with entries `key = { value, unit, source }`.  The shipped set
-`nominal` is the calibrated actuator.  An extended model names its base and adds `[effect.<id>]`;
-`[cylinder]` states another actuator (`plant.parameters.cylinder`).
+The shipped set `nominal` is the calibrated actuator. An extended model names its base and adds `[effect.<id>]`; `[cylinder]`
+states another actuator (`plant.parameters.cylinder`).
 """
 
 from __future__ import annotations
@@ -49,10 +48,7 @@ class _Base(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """A named, immutable set of parameters, addressed as `section.key`.
-
-    `effects` holds the extensions of an extended model, `effect id -> name -> Parameter`.
-    """
+    """A named, immutable set of parameters, addressed as `section.key`; `effects`: id -> name -> Parameter."""
 
     name: str
     entries: Mapping[str, Parameter]
@@ -138,9 +134,8 @@ def shipped() -> list[str]:
 def load(model: str | Path = "nominal", based_on: tuple[str, ...] = ()) -> ParameterSet:
     """Load a shipped set by name, or a model file by path.
 
-    A file may be a full set, or start with `[base] model = "nominal"` and change or add to it;
-    every key it sets must exist in the base, with the same unit.  `[effect.<id>]` tables become
-    `effects`. based_on: the files whose [base] led here. Raises InputError for an unknown name and for whatever is wrong in the file.
+    A file is a full set, or starts with `[base] model = "nominal"` and changes keys of it, with the same units, or adds `effects`.
+    based_on: the files whose [base] led here. Raises InputError for an unknown name and for whatever is wrong in the file.
     """
     text = str(model)
     path = Path(text)
@@ -204,10 +199,7 @@ def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> 
 
 
 def complete(entries: Mapping[str, Parameter], name: str) -> dict[str, Parameter]:
-    """Return the entries with what follows from a section [cylinder], if there is one.
-
-    Raises InputError for a section that is not complete or impossible.
-    """
+    """Return the entries with what follows from [cylinder], if there is one. Raises InputError if that is impossible."""
     completed = dict(entries)
     stated = {
         path: float(item.value)

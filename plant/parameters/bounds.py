@@ -1,8 +1,4 @@
-"""Between which values a parameter means something: what lies outside is refused by name.
-
-The bounds are wide: they exclude signs and magnitudes that no actuator has, not unusual actuators.
-Tighter ones that depend on other parameters are checked by the parts they belong to.
-"""
+"""Between which values a parameter means something, widely: signs and magnitudes that no actuator has are refused."""
 
 from __future__ import annotations
 

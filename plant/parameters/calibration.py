@@ -1,11 +1,8 @@
-"""What a calibrated model file says beyond its values: how well they are known, and what they leave.
+"""What a calibrated model file says of its values: how well they are known, and what they leave.
 
-[posterior]: by quantity of `plant.effects.tolerances`, its row of the covariance of all that stand there,
-up to its own column; logarithms, seconds or, of what is limited, standard normal deviations.
-[posterior_truck]: by quantity of a truck with its gearbox, its standard deviation after the fit to logs.
-[discrepancy], [discrepancy_time]: by measured column, rms of what the model leaves beyond the noise, and
-its correlation time.
-Checked by: tests/unit/sil/inference/calibrate/test_calibrate.py
+[posterior]: by quantity of `plant.effects.tolerances`, its row of the covariance up to its own column; logarithms, seconds
+or, of what is limited, standard normal deviations. [posterior_truck]: by quantity of a truck, its standard deviation.
+[discrepancy], [discrepancy_time]: by measured column, rms of what the model leaves beyond the noise, correlation time.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""A user's own cylinder: the fixed-piston actuator with other dimensions, valves and a return spring.
-
-A model file with a [cylinder] section states it; what the equations read is computed from that.
-Checked by: tests/physics/test_cylinder.py
-"""
+"""A user's own cylinder, by the [cylinder] section of a model file: the fixed-piston actuator with other dimensions."""
 
 from __future__ import annotations
 
@@ -76,8 +72,7 @@ ROOT_RT0 = sqrt(287.05 * 293.15)
 def tube_area(length_m: float, diameter_m: float) -> float:
     """Return the C_d A of a tube, A / sqrt(f L / D + 1.5) [m^2]; without a length none limits.
 
-    f = 0.02: smooth tube, turbulent flow (Moody chart, Reynolds numbers about 3e4); 1.5: loss factors
-    of entry and exit (0.5 and 1).
+    f = 0.02: smooth tube, turbulent (Moody chart, Re about 3e4); 1.5: loss factors of entry and exit (0.5 and 1).
     """
     if length_m == 0.0:
         return float("inf")
@@ -96,10 +91,7 @@ def in_series(one: float, two: float) -> float:
 
 
 def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
-    """Return what follows from the values of a [cylinder] section, by path.
-
-    Raises InputError for a section that is not complete or impossible; `name` is the set's.
-    """
+    """Return what follows from a [cylinder] section, by path. Raises InputError if it is incomplete or impossible."""
     stated = [path for path in UNITS if path in values]
     optional = {*USUAL, *("cylinder.valve_cda_in", "cylinder.valve_cda_out")}
     if not set(stated) & set(PROPORTIONAL):

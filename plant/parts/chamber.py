@@ -1,8 +1,7 @@
 """A chamber with one 3/2 valve: flows, leaks, process exponents and pressure (thesis 3.11, 3.23).
 
-Every chamber of both actuators, moving or at rest, computed in steps or in closed form. The air of a
-cylinder's chamber has a temperature of its own, by balances of mass and energy; that of the thesis's
-actuator has the supply's, and its exponents stand for the heat.
+A cylinder's air has a temperature of its own, by balances of mass and energy; that of the thesis's actuator has the
+supply's, and its exponents stand for the heat.
 """
 
 from __future__ import annotations
@@ -21,10 +20,7 @@ RHO_0 = 1.185
 
 @inlined
 def valve_flow_in(pressure, supply, kelvin, p, c):
-    """Return the charge flow at u = 1 by the selected flow model, with the factor of this unit [K kg/s].
-
-    kelvin: temperature of the chamber, for what flows back.
-    """
+    """Return the charge flow at u = 1 by the flow model [K kg/s]; kelvin: of the chamber, for what flows back."""
     factor = p.k_in
     if unlikely(p.adder != 0.0):
         share = added(Slot.CHARGE, 0.0, 0.0, 0.0, 0.0, pressure / supply, p)
@@ -60,10 +56,7 @@ def leak(pressure, other, cda, kelvin, p):
 
 @inlined
 def piston_leak(pressure, other, kelvin, p):
-    """Return the flow past a piston from a chamber to its neighbour [K kg/s].
-
-    kelvin: temperature of the air that flows.
-    """
+    """Return the flow past a piston from a chamber to its neighbour [K kg/s]; kelvin: temperature of that air."""
     if p.leak_piston == 0.0:
         return 0.0
     return leak(pressure, other, p.leak_piston, kelvin, p)
@@ -71,10 +64,7 @@ def piston_leak(pressure, other, kelvin, p):
 
 @inlined
 def all_leaks(past_pistons, t, x, pressure, kelvin, u, slot, p):
-    """Return the flow into a chamber that passes no valve [K kg/s].
-
-    past_pistons: a part of it; kelvin: temperature of the chamber; slot: of the terms that add to it.
-    """
+    """Return the flow into a chamber that passes no valve, `past_pistons` included [K kg/s]; slot: of its terms."""
     if p.leak_atm != 0.0:
         past_pistons -= u * leak(pressure, p.p_atm, p.leak_atm, kelvin, p)
     if unlikely(p.adder != 0.0):
@@ -85,10 +75,7 @@ def all_leaks(past_pistons, t, x, pressure, kelvin, u, slot, p):
 
 @inlined
 def exponents(speed, p):
-    """Return the process exponents alpha_m1, alpha_1, alpha_m2, alpha_2 at a speed of the piston.
-
-    They follow |v|, or v0 (1 - exp(-|v| / v0)).
-    """
+    """Return alpha_m1, alpha_1, alpha_m2, alpha_2 at a speed: by |v|, or v0 (1 - exp(-|v| / v0))."""
     v0 = p.alpha_v0
     effective = speed if v0 == 0.0 else v0 * (1.0 - exp(-speed / v0))
     am1 = p.alpha_m1 + p.alpha_speed_m1 * effective
@@ -110,10 +97,7 @@ def pressure_rate(pressure, gas, alpha, volume, volume_rate):
 
 @inlined
 def openings(u, p):
-    """Return the shares of inlet and outlet that are open at a valve's position.
-
-    u and 1 - u; from a closed centre 2 u - 1 or 1 - 2 u.
-    """
+    """Return the open shares of inlet and outlet: u and 1 - u; from a closed centre 2 u - 1 or 1 - 2 u."""
     opened = u
     vented = 1.0 - u
     if unlikely(p.closed_centre != 0.0):
@@ -126,10 +110,8 @@ def openings(u, p):
 def chamber(pressure, kelvin, u, leak, volume, volume_rate, supply, alphas, p, c):
     """Return dP/dt = (R (am1 u f_in - am2 (1-u) f_out + leak) - alpha P dV/dt) / V   [Pa/s].
 
-    Also f_in and f_out [K kg/s], R times the sum of flows [W], and alpha = u a1 + (1-u) a2.
-    `u` is the actual valve position, 1 = supply, 0 = atmosphere; the exponents follow it; `kelvin`
-    the temperature of its air.
-    Source: thesis 3.23, 3.57-3.60.  Checked by: tests/physics/test_chamber.py
+    Also f_in and f_out [K kg/s], R times the sum of flows [W], and alpha = u a1 + (1-u) a2. `u`: actual valve position, 1
+    supply, 0 atmosphere; `kelvin`: of its air. Source: thesis 3.23, 3.57-3.60. Checked by: tests/physics/test_chamber.py
     """
     am1, a1, am2, a2 = alphas
     opened, vented = openings(u, p)
@@ -151,9 +133,8 @@ def temperature(pressure, volume, mass, p):
 def energy_source(leak, volume, mass, kelvin, p):
     """Return what leaks and walls do to the energy of a cylinder's chamber, over R [K kg/s].
 
-    kappa leak + (kappa - 1) h A (T_wall - T) / R, h by the power `wall_density` of the air's density; the
-    walls have the supply's temperature, their area is that of a cylinder of the piston's bore and the
-    chamber's volume.
+    kappa leak + (kappa - 1) h A (T_wall - T) / R, h by the power `wall_density` of the density; walls at the supply's
+    temperature, their area that of a cylinder of the bore and the chamber's volume.
     """
     area = 2.0 * p.area_p + 2.0 * volume * sqrt(pi / p.area_p)
     transfer = p.wall_heat * (mass / (volume * RHO_0)) ** p.wall_density
@@ -163,10 +144,9 @@ def energy_source(leak, volume, mass, kelvin, p):
 
 @inlined
 def mass_rate(flows, leak, u, kelvin, p):
-    """Return dm/dt of a cylinder's chamber [kg/s]: each flow over the temperature it comes with.
+    """Return dm/dt of a cylinder's chamber [kg/s]: each flow of `chamber` over the temperature it comes with.
 
-    flows: what `chamber` returned; leak: T m_dot into the chamber beside its valve, which from
-    outside has the supply's temperature.
+    leak: T m_dot into the chamber beside its valve, from outside with the supply's temperature.
     """
     opened, vented = openings(u, p)
     inward = opened * flows[1] / (p.t_gas if flows[1] > 0.0 else kelvin)

@@ -1,7 +1,6 @@
-"""Oil damper: orifice area, discharge coefficient, incompressible and compressible pressure.
+"""Oil damper: orifice area, discharge coefficient, incompressible and compressible pressure (thesis 3.26-3.35).
 
-Source: thesis 3.26-3.35; x is the distance from the start (fixed) or from neutral (length).
-Checked by: tests/physics/test_damper.py
+x is the distance from the start (fixed) or from neutral (length). Checked by: tests/physics/test_damper.py
 """
 
 from __future__ import annotations
@@ -34,10 +33,9 @@ def large_area(x_m, area_cap, r_hole, x_hole):
 
 @inlined
 def damper_borders(distance, speed, p):
-    """Return where the damper's law has corners; each is positive before its corner.
+    """Return how far the damper's law is from its corners, positive before each.
 
-    Zero where the holes' area leaves its cap [m^2], where they are covered [m], and where C_D reaches
-    its floor [-].
+    Holes' area at its cap [m^2], holes covered [m], C_D at its floor [-].
     """
     c = min(max(distance - p.x_hole, 0.0), 2.0 * p.r_hole) - p.r_hole
     large = large_area(distance, p.a_large, p.r_hole, p.x_hole)
@@ -119,11 +117,7 @@ def oil_rate(distance, speed, oil_pa, m, p):
 
 @kernel
 def steady_oil_pressure(position, velocity, p, out):
-    """Absolute pressure of the incompressible damper's chamber two [Pa] along a motion -> out.
-
-    position [m] and velocity [m/s] of the stay; it acts on the way out from 0 (3.34).
-    Checked by: tests/physics/test_one_equation.py
-    """
+    """Absolute pressure of the incompressible damper's chamber two [Pa] along position [m], velocity [m/s] -> out (3.34)."""
     p = parameters(p)
     for i in range(len(position)):
         side = 1.0 if position[i] > 0.0 or (position[i] == 0.0 and velocity[i] >= 0.0) else -1.0

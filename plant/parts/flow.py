@@ -1,8 +1,6 @@
 """Flow of mass and temperature, epsilon = T m_dot, through a valve (thesis 3.1.4).
 
-`charge` and `discharge` are the mapped flows (two polynomials each, in the pressure ratio);
-`orifice` is the theoretical flow 3.13/3.20 with its erratum corrected; `iso_6358` that of a
-pneumatic component by its data sheet.
+`charge`, `discharge`: mapped; `orifice`: theoretical, 3.13/3.20 with its erratum corrected; `iso_6358`: by a data sheet.
 """
 
 from __future__ import annotations
@@ -17,8 +15,7 @@ from plant.parameters.cylinder import CHOKED
 def charge(pressure_pa, supply_pa, c):
     """Return the mapped charge flow f_in(P) = P_s phi(P/P_s) [K kg/s]; negative above the supply.
 
-    Source: thesis 3.1.4, 3.39; scaled with the supply pressure (errata 3.21, 3.39).
-    Checked by: tests/physics/test_flow.py
+    Source: thesis 3.1.4, 3.39, scaled with the supply pressure (errata 3.21, 3.39). Checked by: tests/physics/test_flow.py
     """
     per_supply = 1.0 / supply_pa  # one division for all chambers
     ratio = pressure_pa * per_supply
@@ -54,10 +51,8 @@ def discharge(pressure_pa, atmosphere_pa, c):
 def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
     """Theoretical flow T m_dot of an orifice C_d A [K kg/s], choked below the critical ratio.
 
-    3.13 choked, 3.20 free with the density factor outside the root (erratum 3.20); antisymmetric
-    when the pressures change places.  Next to equal pressures (ratio above 0.999) the root is
-    replaced by the odd cubic of the same value and slope there, so that the slope stays finite.
-
+    3.13 choked, 3.20 free with the density factor outside the root (erratum 3.20); antisymmetric in the pressures. Next to
+    equal ones (ratio above 0.999) the root is replaced by the odd cubic of the same value and slope there: a finite slope.
     Checked by: tests/physics/test_flow.py (continuity at 0.5283)
     """
     if upstream_pa >= downstream_pa:
@@ -87,11 +82,9 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
 def iso_6358(upstream_pa, downstream_pa, cda_m2, critical, upstream_k, downstream_k, r_air):
     """Return T m_dot of a valve by ISO 6358 [K kg/s]; antisymmetric when the pressures change places.
 
-    The conductance C is that of a choked orifice C_d A; below the critical pressure ratio b the flow
-    is constant, above it follows the ellipse sqrt(1 - ((r - b) / (1 - b))^2).  T is that of the side
-    the air comes from.  Next to equal pressures as in `orifice`.
-
-    Source: ISO 6358-1.  Checked by: tests/physics/test_cylinder.py
+    C is that of a choked orifice C_d A; below the critical ratio b the flow is constant, above it follows the ellipse
+    sqrt(1 - ((r - b) / (1 - b))^2). T is that of the side the air comes from. Next to equal pressures as in `orifice`.
+    Source: ISO 6358-1. Checked by: tests/physics/test_cylinder.py
     """
     if upstream_pa >= downstream_pa:
         high, low, kelvin, sign = upstream_pa, downstream_pa, upstream_k, 1.0

@@ -15,10 +15,8 @@ from plant.parts.term import added, not_negative
 def sliding(speed_m_s, static_n, run_n, beta, stribeck_m_s):
     """Kinetic friction F_rf + beta |v| [N], with a Stribeck fall from static if a speed is given.
 
-    The speed counts in the direction of motion, so that the law goes on smoothly through zero
-    within a step that ends at the turn.
-    Source: thesis 3.1.5 (F_df); Stribeck term as in Armstrong-Helouvry 1991.
-    Checked by: tests/physics/test_friction.py
+    The speed counts in the direction of motion: smooth through zero within a step that ends at the turn. Source: thesis
+    3.1.5 (F_df); Stribeck term as in Armstrong-Helouvry 1991. Checked by: tests/physics/test_friction.py
     """
     level = run_n + beta * speed_m_s
     if stribeck_m_s > 0.0 and static_n > run_n:
@@ -40,10 +38,7 @@ def direction_factor(direction, p):
 
 @inlined
 def extra_drag(x, direction, p):
-    """Return the resistance of the stay that depends on position [N].
-
-    Gearbox barrier, bump, linkage, damper mount.
-    """
+    """Return the stay's resistance by position: gearbox barrier, bump, linkage, damper mount [N]."""
     extra = p.f_linkage + p.damper_drag
     if p.mesh_force != 0.0 or p.pull_force != 0.0:
         extra += barrier(

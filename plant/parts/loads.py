@@ -1,7 +1,4 @@
-"""Loads on the stay: spring, constant force, detent, damper; the gearbox's barriers (thesis 4.1.1).
-
-Checked by: tests/physics/test_synchronizer.py
-"""
+"""Loads on the stay: spring, constant force, detent, damper; the gearbox's barriers (thesis 4.1.1)."""
 
 from __future__ import annotations
 
@@ -51,10 +48,9 @@ def store_loads(q, t, x, v, side, oil_pa, m, p):
 
 @inlined
 def barrier(x_m, direction, stroke, mesh_n, x_mesh, w_mesh, pull_n, w_pull):
-    """Force barrier that resists motion like friction [N]: F cos^2(pi u / 2), zero for |u| >= 1.
+    """Barrier that resists motion like friction [N]: F cos^2(pi u / 2), zero for |u| >= 1.
 
-    Into gear (direction away from neutral): u = (|x| - x_mesh)/w_mesh; out of gear:
-    u = (stroke - |x|)/w_pull.
+    Into gear (away from neutral) u = (|x| - x_mesh)/w_mesh, out of gear u = (stroke - |x|)/w_pull.
     """
     distance = abs(x_m)
     if direction * x_m >= 0.0:

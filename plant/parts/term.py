@@ -1,8 +1,4 @@
-"""Terms that effects add in slots of the equations: compiled functions, called by their addresses.
-
-The equations call `sum_of_terms` by an address in the stroke's parameters, so that they are not
-compiled again for a term, and a stroke without terms pays one comparison for each slot.
-"""
+"""Terms that effects add in slots of the equations: compiled functions, called by addresses in the parameters."""
 
 from __future__ import annotations
 
@@ -19,10 +15,7 @@ TIME, POSITION, SPEED, DIRECTION, PRESSURE, AGAINST_MOTION = range(1, 7)
 
 @inlined
 def added(slot, t, x, v, direction, pressure, p):
-    """Return the sum of the terms in a slot [unit of the slot].
-
-    What they depend on, by slot: `plant.effects.added_term.ARGUMENTS`.
-    """
+    """Return the sum of the terms in a slot [its unit]; arguments: `plant.effects.added_term.ARGUMENTS`."""
     return call_at(int(p.adder), slot, t, x, v, direction, pressure, p)
 
 

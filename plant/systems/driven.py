@@ -1,8 +1,6 @@
 """Position-driven mode: a measured motion in, chamber pressures out (thesis 3.4.2).
 
-The chamber equations alone, for the fixed piston: the force balance, and with it friction, plays no
-part, so a deviation belongs to flow, volume, exponents or valve timing.
-Checked by: tests/physics/test_driven.py
+The fixed piston's chamber equations alone: no force balance, so a deviation belongs to flow, volume, exponents or timing.
 """
 
 from __future__ import annotations
@@ -19,10 +17,9 @@ from plant.systems.stroke import valve_moves
 
 @kernel
 def chamber_along(time, volume, start, moves, p, c, out):
-    """Pressure of one chamber along a known volume -> out.
+    """Pressure of one chamber along a known volume -> out, by Runge-Kutta of order four.
 
-    time [s], volume [m^3] (straight between samples), moves rows (time s, position, slope 1/s) of
-    its valve; fourth-order Runge-Kutta, steps split where the valve moves.
+    time [s], volume [m^3] (straight between samples), moves rows (time s, position, slope 1/s) of its valve, which split steps.
     """
     p = parameters(p)
     c = flow_map(c)

@@ -101,10 +101,7 @@ class LengthStroke(HybridSystem):
         return float(self._state.impulse)
 
     def set_sync_impulse(self, impulse_n_s: float) -> None:
-        """Arm the synchronizer for the next engagement; call while the stay is near neutral.
-
-        Raises ValueError for a negative impulse.
-        """
+        """Arm the synchronizer for the next engagement, near neutral. Raises ValueError for a negative impulse."""
         if not impulse_n_s >= 0.0:
             raise ValueError(f"synchronizer impulse {impulse_n_s}: expected 0 or more")
         self._p.sync_impulse = impulse_n_s

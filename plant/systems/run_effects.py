@@ -37,10 +37,7 @@ def applied(
         if why:
             raise InputError(f"{parameters.name}: [effect.{name}]: {why}")
     conditions = StrokeConditions(
-        kind="N-B",
-        supply_pressure_pa=supply_pa,
-        commands=(),
-        load="damper" if damped else "none",
+        kind="N-B", supply_pressure_pa=supply_pa, commands=(), load="damper" if damped else "none"
     )
     setup = Setup(
         conditions,

@@ -109,10 +109,7 @@ class StrokeSystem(HybridSystem):
 
 
 def valve_moves(setup: Setup, until_ns: int) -> list[tuple[int, int, float, float]]:
-    """Return the moves of the valves: (instant ns, chamber index, position, slope 1/s), ascending.
-
-    A valve moves at once (slope 0), or over the plunger's travel time.
-    """
+    """Return the moves (instant ns, chamber index, position, slope 1/s), ascending; slope 0: at once."""
     conditions = setup.conditions
     names = conditions.chambers
     if setup.spool is not None:
@@ -163,10 +160,7 @@ def duty_at(conditions: StrokeConditions, time_s: Floats) -> Floats:
 
 
 def lagged(time_s: Floats, values: Floats, lag_s: float) -> Floats:
-    """Values behind a first-order lag, exact for a signal that is straight between samples.
-
-    y' = (x - y) / lag, settled at the start.  values: [n] or [n, k].
-    """
+    """Values [n] or [n, k] behind a lag, y' = (x - y) / lag, settled at the start, straight between samples."""
     if lag_s <= 0.0:
         return values
     from scipy.linalg import solve_banded
