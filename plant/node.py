@@ -33,8 +33,7 @@ from plant.devices.signal_faults import SpeedFault, SpeedSensors, TemperatureFau
 from plant.devices.toothed_wheel import toothed_wheels
 from plant.devices.valve import NS_PER_S, CoilConfig, ValveTiming, seconds_to_ns
 from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
-from plant.devices.valve_faults import ValveFault
-from plant.devices.valve_group import Switch, ValveGroup
+from plant.devices.valve_faults import Switch, ValveFault, ValveGroup
 from plant.errors import InputError
 from plant.integrator.hybrid import Balance
 from plant.kernel.packing import Load

@@ -18,7 +18,7 @@ from plant.batch.lanes import MOVING_STATES, Batch, Room, find_covered, room_for
 from plant.batch.singles import run_singles
 from plant.devices.valve import NS_PER_S
 from plant.effects.setup import Setup
-from plant.integrator.filling_curves import NO_CURVES, filling_curves
+from plant.integrator.filling import NO_CURVES, filling_curves
 from plant.kernel.layout import FlowMap, Modes, Parameters
 from plant.kernel.packing import Floats, Ints, fresh_modes, scales, state_record
 from plant.systems.stroke import valve_moves

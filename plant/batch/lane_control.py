@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plant.batch.lane_steps import WIDTH, lane_modes, lane_parameters
+from plant.integrator import loop
 from plant.integrator.events import (
     after_event,
     all_guards,
@@ -15,30 +16,9 @@ from plant.integrator.events import (
     smallest,
 )
 from plant.integrator.filling import FOLLOW_GRID
-from plant.integrator.loop import (
-    AGAIN,
-    DONE,
-    LONGEST_STEP_S,
-    MAX_EVENTS,
-    NOT_FINITE,
-    OFF_GRID,
-    STEP_AFTER_EVENT_S,
-    STEP_AFTER_REST_S,
-    STEP_TOO_SMALL,
-    STEPPING,
-    TOO_MANY_EVENTS,
-    apply_switches,
-    choose_step,
-    expects_event,
-    first_event,
-    follow_or_write,
-    sample_step,
-    store_event,
-    valves_stand,
-)
+from plant.integrator.loop import Motion
 from plant.integrator.rest import pass_rest
 from plant.integrator.steppers import dense_element, derivative, explicit_dense
-from plant.integrator.workspace import Motion
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import Modes, Parameters, flow_map, impact_of
 from plant.kernel.records import Record, Value
@@ -103,7 +83,7 @@ def handle_event(index, one, k, o, task, result):
     """Reset at an event and store it, the first impact on a stop as the arrival."""
     after_event(one.time, index, o)
     impact = impact_of(o.scratch.impact)
-    store_event(one.time, index, impact, o.y, k.events, task)
+    loop.store_event(one.time, index, impact, o.y, k.events, task)
     store_arrival(one.time, impact, result)
     k.events += 1
 
@@ -112,24 +92,24 @@ def handle_event(index, one, k, o, task, result):
 def prepare(one, k, o, task, result, n):
     """Bring a lane to its next step, over switches, events and rests: STEPPING, DONE at the end, or why it stops."""
     while True:
-        apply_switches(one, k, o, task)
+        loop.apply_switches(one, k, o, task)
         if one.time >= one.end:
-            return DONE
-        if k.events > MAX_EVENTS:
-            return TOO_MANY_EVENTS
+            return loop.DONE
+        if k.events > loop.MAX_EVENTS:
+            return loop.TOO_MANY_EVENTS
         if all_guards(one.time, o.y, o, o.scratch.guards) < 0.0:
             handle_event(smallest(o.scratch.guards), one, k, o, task, result)
             continue
-        status = STEPPING
-        if task.tabulated and valves_stand(o) and at_rest(o.m):
+        status = loop.STEPPING
+        if task.tabulated and loop.valves_stand(o) and at_rest(o.m):
             status, index = pass_rest(one, k, o, one.stage, one.spare, task, n)
             if index >= 0:
                 handle_event(index, one, k, o, task, result)
-                one.wanted = STEP_AFTER_REST_S
-        if status == STEPPING:
+                one.wanted = loop.STEP_AFTER_REST_S
+        if status == loop.STEPPING:
             derivative(one.time, o.y, one.rate_0, o, False)
-            return choose_step(one, k, task)
-        if status != AGAIN:
+            return loop.choose_step(one, k, task)
+        if status != loop.AGAIN:
             return status
 
 
@@ -150,8 +130,8 @@ def reject(one, k, follow):
     one.step = h
     one.wanted = h
     if h < 1e-14 or follow:
-        return STEP_TOO_SMALL if finite_norm else NOT_FINITE
-    return STEPPING
+        return loop.STEP_TOO_SMALL if finite_norm else loop.NOT_FINITE
+    return loop.STEPPING
 
 
 @called
@@ -161,7 +141,7 @@ def find_event(one, k, o, task, until, n):
     y1 = one.stage
     theta = 1.0
     fired = False
-    if expects_event(task, k.steps - 1):
+    if loop.expects_event(task, k.steps - 1):
         fired = one.lowest < 0.0
         if not fired:
             theta = hidden_turn(h, y1, one.rate_0, one.rate, o)
@@ -174,7 +154,7 @@ def find_event(one, k, o, task, until, n):
             dense_element(1.0, o.y, y1, one.k, dense, task.columns[i])
     if fired:
         all_guards(one.time + h, y1, o, o.scratch.guards)
-    return first_event(one, theta, fired, y1, one.spare, o, task, n)
+    return loop.first_event(one, theta, fired, y1, one.spare, o, task, n)
 
 
 @called
@@ -193,33 +173,33 @@ def judge(one, k, o, task, result, n):
     until = one.next if last else one.time + h
     wanted = one.wanted
     longer = grown(one, h, one.norm, one.factor)
-    one.wanted = min(max(wanted, longer) if h < wanted else longer, LONGEST_STEP_S)
+    one.wanted = min(max(wanted, longer) if h < wanted else longer, loop.LONGEST_STEP_S)
     theta, index = find_event(one, k, o, task, until, n)
     if index == -2:
-        return OFF_GRID
+        return loop.OFF_GRID
     if index >= 0:
         until = one.time + theta * h
-    sample_step(one, k, one.dense, until, theta, task)
-    if not follow_or_write(one, task, k.steps - 1, last, float(index)):
-        return OFF_GRID
+    loop.sample_step(one, k, one.dense, until, theta, task)
+    if not loop.follow_or_write(one, task, k.steps - 1, last, float(index)):
+        return loop.OFF_GRID
     one.time = until
     if index < 0 and not last:
         one.accepted = 1.0
-        return choose_step(one, k, task)
+        return loop.choose_step(one, k, task)
     for e in range(n):
         o.y[e] = one.stage[e]
     if index >= 0:
         handle_event(index, one, k, o, task, result)
-        one.wanted = min(one.wanted, max(STEP_AFTER_EVENT_S, 0.3 * h))
+        one.wanted = min(one.wanted, max(loop.STEP_AFTER_EVENT_S, 0.3 * h))
         one.before = 1.0
-    return DONE
+    return loop.DONE
 
 
 @called
 def begin(one, k, o, result):
     """Begin the stroke that was put into a lane."""
     one.accepted = 0.0
-    one.wanted = STEP_AFTER_REST_S
+    one.wanted = loop.STEP_AFTER_REST_S
     one.before = 1.0
     k.next_switch = 0
     k.next_sample = 0

@@ -17,15 +17,7 @@ from math import sqrt
 from plant.equations.fixed_piston import fixed_guards, fixed_rates
 from plant.equations.length_contacts import guards
 from plant.equations.length_stroke import rates
-from plant.integrator.steppers import (
-    local_error,
-    stage_1,
-    stage_2,
-    stage_3,
-    stage_4,
-    stage_5,
-    stage_6,
-)
+from plant.integrator import steppers
 from plant.kernel.compiled import called, inlined, plain
 from plant.kernel.layout import (
     MAX_STATES,
@@ -202,29 +194,29 @@ def step_of_lanes(f, fixed, curved, n, tolerance, width):
         new = last[e]
         first[e] = new if take[e] != 0.0 else old
     increments(steps, first, k[0], count)
-    stage_1(1.0, y, k, out, count)
+    steppers.stage_1(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 0.2, width)
     increments(steps, last, k[1], count)
-    stage_2(1.0, y, k, out, count)
+    steppers.stage_2(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 0.3, width)
     increments(steps, last, k[2], count)
-    stage_3(1.0, y, k, out, count)
+    steppers.stage_3(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 0.8, width)
     increments(steps, last, k[3], count)
-    stage_4(1.0, y, k, out, count)
+    steppers.stage_4(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 8.0 / 9.0, width)
     increments(steps, last, k[4], count)
-    stage_5(1.0, y, k, out, count)
+    steppers.stage_5(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 1.0, width)
     increments(steps, last, k[5], count)
-    stage_6(1.0, y, k, out, count)
+    steppers.stage_6(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 1.0, width)
     increments(steps, last, k[6], count)
     if fixed:
         fixed_lane_guards(f, width)
     else:
         length_lane_guards(f, width)
-    local_error(1.0, k, error, count)
+    steppers.local_error(1.0, k, error, count)
     share = 1.0 / n
     scale = a.scale
     norm = a.norm

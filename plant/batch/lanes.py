@@ -9,23 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plant.batch.lane_control import (
-    COPIED,
-    IDLE,
-    MODES,
-    Memory,
-    Result,
-    begin,
-    judge,
-    memory_of,
-    motion_of,
-    prepare,
-    result_of,
-)
+from plant.batch import lane_control
 from plant.batch.lane_steps import FREE_OF, MODES_FREE_OF, WIDTH, Lane, lane_of, step_of_lanes
 from plant.integrator.filling import FOLLOW_GRID, OWN_STEPS, STORED_ROW, WRITE_GRID
-from plant.integrator.loop import DONE, STEPPING, Task
-from plant.integrator.workspace import Scratch, scratch_of
+from plant.integrator.loop import DONE, STEPPING, Scratch, Task, scratch_of
 from plant.kernel.compiled import called, inlined, kernel
 from plant.kernel.layout import (
     FIXED,
@@ -42,7 +29,7 @@ from plant.kernel.views import view
 ALPHA_V0, FLOW_SIZE = Parameters.fields["alpha_v0"].start, FlowMap.size
 NOT_IN_LANES = tuple(Parameters.fields[name].start for name in FREE_OF)
 MODES_NOT_IN_LANES = tuple(Modes.fields[name].start for name in MODES_FREE_OF)
-COUNTERS, FLAT = Memory.size, Lane.size * WIDTH
+COUNTERS, FLAT = lane_control.Memory.size, Lane.size * WIDTH
 MOVING_STATES = (FixedState.p_2 + 1, LengthState.p_f + 1)
 
 
@@ -88,7 +75,7 @@ class Room(NamedTuple):
         """Return memory for a grid of so many samples and steps."""
         return cls(
             np.zeros(FLAT + Scratch.size),
-            np.zeros(Memory.size * WIDTH, dtype=np.int64),
+            np.zeros(lane_control.Memory.size * WIDTH, dtype=np.int64),
             np.zeros((steps, GridRow.size)),
             np.zeros((samples, STORED_ROW)),
         )
@@ -97,7 +84,7 @@ class Room(NamedTuple):
 def room_for_results(strokes: int, states: int, samples: int, columns: int, events: int) -> Outcome:
     """Return the arrays that a batch of so many strokes writes."""
     return Outcome(
-        np.zeros((strokes, Result.size)),
+        np.zeros((strokes, lane_control.Result.size)),
         np.zeros((strokes, states)),
         np.zeros((strokes, samples, columns)),
         np.zeros((strokes, events, EventRow.size)),
@@ -128,7 +115,7 @@ def fill_lane(one, stroke, batch, n, first):
     """Copy a stroke's inputs into a lane; the flow map only if it is not the one there."""
     if first or batch.flow.shape[0] != 1:
         copy(one.flow, row_of(batch.flow, stroke), FLOW_SIZE)
-    copy(one.parameters, row_of(batch.packed, stroke), COPIED)
+    copy(one.parameters, row_of(batch.packed, stroke), lane_control.COPIED)
     put_at_start(one, one.modes, stroke, batch, n)
 
 
@@ -143,7 +130,7 @@ def copy(target, source, count):
 def put_at_start(r, modes, stroke, batch, n):
     """Put the first n states of a stroke, its modes and its valves to time 0."""
     copy(r.y, row_of(batch.initial, stroke), n)
-    copy(modes, row_of(batch.modes, stroke), MODES)
+    copy(modes, row_of(batch.modes, stroke), lane_control.MODES)
     copy(r.u0, row_of(batch.valves, stroke), 3)
     for i in range(3):
         r.du[i] = 0.0
@@ -154,7 +141,7 @@ def put_at_start(r, modes, stroke, batch, n):
 @called
 def finish(one, k, stroke, status, batch, outcome, n):
     """Write what became of a stroke."""
-    result = result_of(row_of(outcome.results, stroke))
+    result = lane_control.result_of(row_of(outcome.results, stroke))
     result.status = status
     result.events = k.events
     result.steps = k.steps
@@ -181,7 +168,7 @@ def run_order(batch, outcome, room, table, order, tolerance, system, pace):
     for stroke in order:
         curved = curved or batch.packed[stroke, ALPHA_V0] != 0.0
     for j in range(WIDTH):
-        memory_of(counters, j).stroke = IDLE
+        lane_control.memory_of(counters, j).stroke = lane_control.IDLE
         for i in range(n):
             lane_of(f, j).scale[i] = batch.scale[i]
     upcoming = 0
@@ -192,22 +179,22 @@ def run_order(batch, outcome, room, table, order, tolerance, system, pace):
             step_of_lanes(f, fixed, curved, n, tolerance, width)
         for j in range(WIDTH):
             one = lane_of(f, j)
-            k = memory_of(counters, j)
-            if k.stroke == IDLE and not starting:
+            k = lane_control.memory_of(counters, j)
+            if k.stroke == lane_control.IDLE and not starting:
                 continue
-            o = motion_of(one, scratch)
+            o = lane_control.motion_of(one, scratch)
             status = DONE
             if not starting:
-                result = result_of(row_of(outcome.results, k.stroke))
+                result = lane_control.result_of(row_of(outcome.results, k.stroke))
                 task = task_of(k.stroke, batch, outcome, room, table, use, steps)
-                status = judge(one, k, o, task, result, n)
+                status = lane_control.judge(one, k, o, task, result, n)
             while status != STEPPING:
-                ended = k.stroke != IDLE and (status != DONE or one.time >= one.end)
+                ended = k.stroke != lane_control.IDLE and (status != DONE or one.time >= one.end)
                 if ended:
                     finish(one, k, k.stroke, status, batch, outcome, n)
                     active -= 1
-                    k.stroke = IDLE
-                if k.stroke == IDLE:
+                    k.stroke = lane_control.IDLE
+                if k.stroke == lane_control.IDLE:
                     if upcoming >= order.shape[0]:
                         for i in range(n):  # no stroke: steps of no length
                             one.rate_0[i] = 0.0
@@ -216,13 +203,15 @@ def run_order(batch, outcome, room, table, order, tolerance, system, pace):
                         break
                     stroke = order[upcoming]
                     fill_lane(one, stroke, batch, n, starting)
-                    begin(one, k, o, result_of(row_of(outcome.results, stroke)))
+                    lane_control.begin(
+                        one, k, o, lane_control.result_of(row_of(outcome.results, stroke))
+                    )
                     k.stroke = stroke
                     upcoming += 1
                     active += 1
-                result = result_of(row_of(outcome.results, k.stroke))
+                result = lane_control.result_of(row_of(outcome.results, k.stroke))
                 task = task_of(k.stroke, batch, outcome, room, table, use, steps)
-                status = prepare(one, k, o, task, result, n)
+                status = lane_control.prepare(one, k, o, task, result, n)
         starting = False
 
 
@@ -243,7 +232,7 @@ def run_lanes(batch, outcome, room, table, order, tolerance, system, follow):
         return
     longest = room.grid.shape[0]
     run_order(batch, outcome, room, table, order[:1], tolerance, system, (WRITE_GRID, longest))
-    steps = min(int(result_of(row_of(outcome.results, order[0])).steps), longest)
+    steps = min(int(lane_control.result_of(row_of(outcome.results, order[0])).steps), longest)
     run_order(batch, outcome, room, table, order[1:], tolerance, system, (FOLLOW_GRID, steps))
 
 

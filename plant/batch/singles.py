@@ -8,7 +8,7 @@ from plant.batch.lane_control import result_of, store_arrival
 from plant.batch.lanes import copy, put_at_start
 from plant.integrator.filling import FOLLOW_GRID, OWN_STEPS, WRITE_GRID
 from plant.integrator.integrate import advance
-from plant.integrator.workspace import Control, Run, control_of, run_of
+from plant.integrator.loop import Control, Run, control_of, run_of
 from plant.kernel.compiled import called, kernel
 from plant.kernel.layout import EventRow, event_row, modes
 from plant.kernel.packing import FIRST_STEP_S, active_states

@@ -7,18 +7,8 @@ exponents. `fixed_rates`: 3.46 (position), 3.47 (forces, with `fixed_drive`, `fi
 
 from __future__ import annotations
 
-from plant.equations.length_contacts import (
-    EPS_M,
-    EPS_M_S,
-    EPS_N,
-    TOUCH_M,
-    UNREACHED,
-    damper_guards,
-    note_corners,
-    put,
-)
-from plant.equations.length_impacts import rebound
-from plant.equations.length_modes import direction_of, group_acceleration, settle_oil
+from plant.equations import length_contacts as contacts
+from plant.equations.length_modes import direction_of, group_acceleration, rebound, settle_oil
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COMPRESSIBLE, FIXED, GUARDS, Guard, Slot, quadratures_of
 from plant.kernel.packing import CYLINDER_STATES, STATE_COUNTS
@@ -116,27 +106,27 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
 @called
 def fixed_guards(t, y, m, p, g):
     """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.  Returns the lowest."""
-    low = UNREACHED
+    low = contacts.UNREACHED
     for k in range(GUARDS):
         g[k] = low
     high = p.stroke + p.stop_offset
     d = m.stay
     if d != 0:
-        low = put(g, Guard.TURN, d * y.v + EPS_M_S, low)
+        low = contacts.put(g, Guard.TURN, d * y.v + contacts.EPS_M_S, low)
         if d > 0:
-            low = put(g, Guard.STOP_HIGH, high - y.x + EPS_M, low)
+            low = contacts.put(g, Guard.STOP_HIGH, high - y.x + contacts.EPS_M, low)
         else:
-            low = put(g, Guard.STOP_LOW, y.x + EPS_M, low)
+            low = contacts.put(g, Guard.STOP_LOW, y.x + contacts.EPS_M, low)
     else:
         drive = fixed_drive(y, m, p, t)
-        hold = UNREACHED
-        if y.x < high - TOUCH_M:
+        hold = contacts.UNREACHED
+        if y.x < high - contacts.TOUCH_M:
             hold = stay_static(y.x, 1.0, p) + seal_drag(y.p_1 - y.p_2, p) - drive
-        if y.x > TOUCH_M:
+        if y.x > contacts.TOUCH_M:
             hold = min(hold, stay_static(y.x, -1.0, p) + seal_drag(y.p_1 - y.p_2, p) + drive)
-        low = put(g, Guard.BREAKAWAY, hold + EPS_N, low)
+        low = contacts.put(g, Guard.BREAKAWAY, hold + contacts.EPS_N, low)
     if m.damper != 0:
-        low = damper_guards(y.x, y.v, y.p_oil, m, p, g, low)
+        low = contacts.damper_guards(y.x, y.v, y.p_oil, m, p, g, low)
     return low
 
 
@@ -148,10 +138,10 @@ def fixed_impacts(y, m, p, impact):
     impact.at_block = 0.0
     high = p.stroke + p.stop_offset
     hit = False
-    if y.x >= high - TOUCH_M and y.v > 0.0:
+    if y.x >= high - contacts.TOUCH_M and y.v > 0.0:
         y.x = high
         hit = True
-    elif y.x <= TOUCH_M and y.v < 0.0:
+    elif y.x <= contacts.TOUCH_M and y.v < 0.0:
         y.x = 0.0
         hit = True
     if hit:
@@ -166,7 +156,7 @@ def fixed_settle(t, y, m, p):
     """Choose the mode that continues the motion: at rest, or moving, and the damper's."""
     m.stay = 0
     if m.damper != 0:
-        note_corners(y.x, y.v, m, p)
+        contacts.note_corners(y.x, y.v, m, p)
     drive = fixed_drive(y, m, p, t)
     drag = seal_drag(y.p_1 - y.p_2, p)
     high = p.stroke + p.stop_offset
@@ -178,8 +168,8 @@ def fixed_settle(t, y, m, p):
         stay_sliding(y.x, y.v, 1.0, p) + drag,
         stay_sliding(y.x, y.v, -1.0, p) + drag,
         p.m_s,
-        y.x >= high - TOUCH_M,
-        y.x <= TOUCH_M,
+        y.x >= high - contacts.TOUCH_M,
+        y.x <= contacts.TOUCH_M,
     )
     m.stay = direction_of(y.v, a)
     if m.damper == COMPRESSIBLE:

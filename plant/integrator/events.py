@@ -6,8 +6,7 @@ from math import sqrt
 
 from plant.equations.fixed_piston import fixed_guards, fixed_impacts, fixed_settle
 from plant.equations.length_contacts import guards as length_guards
-from plant.equations.length_impacts import impacts
-from plant.equations.length_modes import settle
+from plant.equations.length_modes import impacts, settle
 from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED, FREE, GUARDS, Guard, fixed_state, impact_of, length_state

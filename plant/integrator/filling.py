@@ -1,27 +1,225 @@
-"""Chambers that fill or empty while nothing moves: their pressures by `filling_curves`."""
+"""Chambers that fill or empty while nothing moves: their pressures over time, tabulated once per flow map.
+
+With the volume at rest, mapped flow and no leaks, every chamber follows one of two curves, the same for all volumes and
+supplies: with r = P/P_s (charging) or P/P_atm (discharging) and d tau = |phi'(1)| alpha_m R k dt / V,
+dr/d tau = +-phi(r)/|phi'(1)|.  Between the nodes: cubic Hermite, error below 1e-9.  Beyond the table the flow is
+constant (below y_min) or the deviation decays as exp(-tau).
+"""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import exp
+
+import numpy as np
+from numpy.typing import NDArray
 
 from plant.equations.fixed_piston import fixed_volumes
 from plant.equations.length_stroke import length_volumes
-from plant.integrator.filling_curves import (
-    CELLS_FAR,
-    CELLS_NEAR,
-    NEAR_REACH,
-    Z_TOP,
-    cubic,
-    curve_for,
-    curve_tau,
-    curve_value,
-    faded,
-    slope_of,
-)
-from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import fixed_state, length_state, pressures
-from plant.kernel.records import Record, Value
-from plant.kernel.views import named
+from plant.kernel.compiled import called, inlined, kernel
+from plant.kernel.layout import fixed_state, flow_map, length_state, pressures
+from plant.kernel.records import Record, Value, block
+from plant.kernel.views import named, view
+from plant.parts.flow import charge, discharge
+
+CELLS_FAR, CELLS_NEAR = 256, 1536
+
+
+class Curve(Record):
+    """One curve: head, then the cells of its two regions, each a cubic's coefficients."""
+
+    start: Value  # ratio and slope dr/d tau at the start
+    slope: Value
+    split: Value  # ratio at which the near region begins
+    end: Value  # ratio at the end of the table
+    step_far: Value  # length of a cell in tau
+    step_near: Value
+    cells_far: Value  # cells per unit of tau
+    cells_near: Value
+    rate: Value
+    spare: Value = block(3)
+    far: Value = block(CELLS_FAR, 4)
+    near: Value = block(CELLS_NEAR, 4)
+
+
+CURVE, TABLE = Curve.size, 2 * Curve.size
+curve_of = named(Curve)
+# Ratio P/P_atm at which the discharge curve starts, and how far the near regions reach.
+Z_TOP, NEAR_REACH = 16.0, 20.0
+
+
+@inlined
+def curve_for(charging, table):
+    """Return the charge or the discharge curve of a table."""
+    return curve_of(table[0:] if charging else table[CURVE:])
+
+
+@inlined
+def slope_of(r, charging, c):
+    """dr/d tau of the charge or the discharge curve, times its head's rate."""
+    return charge(r, 1.0, c) if charging else -discharge(r, 1.0, c)
+
+
+@called
+def fill_cells(start, step, cells, charging, c, rate, out):
+    """Cells r = c0 + w (c1 + w (c2 + w c3)) of a region -> out, by Runge-Kutta; its end, 0 if the flow stops or turns."""
+    r = start
+    substeps = 8
+    h = step / substeps
+    sign = 1.0 if charging else -1.0
+    left = 0.0
+    left_slope = 0.0
+    for node in range(cells + 1):
+        slope = slope_of(r, charging, c) / rate
+        if not (slope * sign > 0.0 and sign * (1.0 - r) > 0.0):
+            return 0.0
+        if node > 0:
+            cubic = out[node - 1]
+            d = r - left
+            s0 = step * left_slope
+            s1 = step * slope
+            cubic[0] = left
+            cubic[1] = s0
+            cubic[2] = 3.0 * d - 2.0 * s0 - s1
+            cubic[3] = s0 + s1 - 2.0 * d
+        left = r
+        left_slope = slope
+        if node == cells:
+            break
+        for _ in range(substeps):
+            k1 = slope_of(r, charging, c) / rate
+            k2 = slope_of(r + 0.5 * h * k1, charging, c) / rate
+            k3 = slope_of(r + 0.5 * h * k2, charging, c) / rate
+            k4 = slope_of(r + h * k3, charging, c) / rate
+            r += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return r
+
+
+@called
+def fill_curve(charging, c, curve):
+    """One curve -> curve; False if the map is not a flow that ends at equal pressures."""
+    start = c.y_min if charging else Z_TOP
+    split = c.y_split if charging else c.z_split
+    rate = abs(c.charge_slope if charging else c.discharge_slope)
+    if not (rate > 0.0 and (start < split < 1.0 if charging else start > split > 1.0)):
+        return False
+    # length of the far region: Simpson's rule on d tau = rate dr / phi
+    panels = 2048
+    width = (split - start) / panels
+    total = 0.0
+    for k in range(panels):
+        left = start + k * width
+        # the last node belongs to the far region's polynomial
+        right = min(left + width, split) if charging else max(left + width, split)
+        right -= 1e-12 * width
+        total += (
+            width
+            / 6.0
+            * (
+                1.0 / slope_of(left, charging, c)
+                + 4.0 / slope_of(left + 0.5 * width, charging, c)
+                + 1.0 / slope_of(right, charging, c)
+            )
+        )
+    length = total * rate
+    if not 0.0 < length < 1e3:
+        return False
+    curve.start = start
+    curve.split = split
+    curve.step_far = length / CELLS_FAR
+    curve.step_near = NEAR_REACH / CELLS_NEAR
+    curve.cells_far = CELLS_FAR / length
+    curve.cells_near = CELLS_NEAR / NEAR_REACH
+    curve.rate = rate
+    curve.slope = slope_of(start, charging, c) / rate
+    far = fill_cells(start, length / CELLS_FAR, CELLS_FAR, charging, c, rate, curve.far)
+    near = fill_cells(split, NEAR_REACH / CELLS_NEAR, CELLS_NEAR, charging, c, rate, curve.near)
+    curve.end = near
+    # the far region ends at the border itself, up to integration error
+    return abs(far - split) < 1e-9 and near > 0.0
+
+
+@kernel
+def tabulate(c, table):
+    """Both curves of a flow map c [FlowMap.size] -> table [TABLE]; False if it has no such curves."""
+    coefficients = flow_map(c)
+    out = view(table, 0)
+    return fill_curve(True, coefficients, curve_of(out)) and fill_curve(
+        False, coefficients, curve_of(out[CURVE:])
+    )
+
+
+NO_CURVES = np.zeros(1)
+
+
+@lru_cache(maxsize=64)
+def _filling_curves(flow: bytes) -> NDArray[np.float64]:
+    table = np.zeros(TABLE)
+    return table if tabulate(np.frombuffer(flow).copy(), table) else NO_CURVES
+
+
+def filling_curves(c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the filling curves [TABLE] of a flow map [FlowMap.size], cached; NO_CURVES if it, or several, have none."""
+    return NO_CURVES if c.ndim == 2 and len(c) > 1 else _filling_curves(c.tobytes())
+
+
+@inlined
+def cubic(cells, position):
+    """Ratio at a position on the curve, counted in cells."""
+    cell = int(position)
+    w = position - cell
+    q = cells[cell]
+    return q[0] + w * (q[1] + w * (q[2] + w * q[3]))
+
+
+@called
+def curve_value(curve, tau):
+    """Pressure ratio at tau; tau = 0 at the head of the table."""
+    if tau < 0.0:
+        return curve.start + tau * curve.slope
+    position = tau * curve.cells_far
+    if position < CELLS_FAR:
+        return cubic(curve.far, position)
+    tau -= curve.step_far * CELLS_FAR
+    position = tau * curve.cells_near
+    if position < CELLS_NEAR:
+        return cubic(curve.near, max(position, 0.0))
+    return 1.0 + (curve.end - 1.0) * faded(tau - NEAR_REACH)
+
+
+@inlined
+def faded(x):
+    """exp(-x) for x >= 0 to 2e-3, by its reciprocal's series: what is left behind the table is 2e-9."""
+    return 1.0 / (
+        1.0 + x * (1.0 + x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x / 720)))))
+    )
+
+
+@called
+def curve_tau(curve, r):
+    """Return tau at ratio r, from the start (any lower for charging) to the table's end: inverse of curve_value."""
+    start = curve.start
+    split = curve.split
+    sign = 1.0 if split > start else -1.0
+    if sign * (r - start) < 0.0:
+        return (r - start) / curve.slope
+    far = sign * (split - r) > 0.0
+    cells = curve.far if far else curve.near
+    step = curve.step_far if far else curve.step_near
+    low = 0
+    size = CELLS_FAR if far else CELLS_NEAR
+    while size > 1:
+        half = size // 2
+        low = low + half if sign * (r - cells[low + half, 0]) >= 0.0 else low
+        size -= half
+    q = cells[low]
+    w = (r - q[0]) / (q[1] + q[2] + q[3])
+    for _ in range(3):
+        w -= (q[0] + w * (q[1] + w * (q[2] + w * q[3])) - r) / (
+            q[1] + w * (2.0 * q[2] + w * 3.0 * q[3])
+        )
+    return (low + w) * step + (0.0 if far else curve.step_far * CELLS_FAR)
+
 
 # A grid of steps is written by one stroke and followed by others.
 OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from plant.devices.valve import NS_PER_S
 from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
-from plant.integrator.filling_curves import NO_CURVES
+from plant.integrator.filling import NO_CURVES
 from plant.integrator.integrate import advance
-from plant.integrator.loop import DONE, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_EVENTS
-from plant.integrator.workspace import Control, Run
+from plant.integrator.loop import DONE, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_EVENTS, Control, Run
 from plant.kernel.layout import (
     LENGTH,
     EventRow,

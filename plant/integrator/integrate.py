@@ -7,6 +7,7 @@ after which the modes are chosen anew. Nothing is smoothed.
 from __future__ import annotations
 
 from plant.equations.length_contacts import note_side
+from plant.integrator import loop, steppers
 from plant.integrator.events import (
     after_event,
     all_guards,
@@ -17,38 +18,8 @@ from plant.integrator.events import (
     smallest,
 )
 from plant.integrator.filling import FOLLOW_GRID
-from plant.integrator.loop import (
-    AGAIN,
-    DONE,
-    LONGEST_STEP_S,
-    MAX_EVENTS,
-    NOT_FINITE,
-    OFF_GRID,
-    STEP_AFTER_EVENT_S,
-    STEP_AFTER_REST_S,
-    STEP_TOO_SMALL,
-    STEPPING,
-    TOO_MANY_EVENTS,
-    Task,
-    apply_switches,
-    choose_step,
-    expects_event,
-    first_event,
-    follow_or_write,
-    sample_step,
-    store_event,
-    valves_stand,
-)
+from plant.integrator.loop import Motion, control_of, run_of, scratch_of
 from plant.integrator.rest import pass_rest
-from plant.integrator.steppers import (
-    derivative,
-    differentiate,
-    explicit_dense,
-    explicit_step,
-    stiff_dense,
-    stiff_step,
-)
-from plant.integrator.workspace import Motion, control_of, run_of, scratch_of
 from plant.kernel.compiled import called, kernel
 from plant.kernel.layout import (
     COMPRESSIBLE,
@@ -83,31 +54,31 @@ def handle_event(index, r, k, o, task):
     k.fresh = 1
     if index >= Guard.CAPPED:
         k.corners += 1
-        return AGAIN if k.events + k.corners < k.most_events else TOO_MANY_EVENTS
+        return loop.AGAIN if k.events + k.corners < k.most_events else loop.TOO_MANY_EVENTS
     if k.events >= task.room or k.events + k.corners >= k.most_events:
-        return TOO_MANY_EVENTS
-    store_event(r.time, index, impact_of(o.scratch.impact), o.y, k.events, task)
+        return loop.TOO_MANY_EVENTS
+    loop.store_event(r.time, index, impact_of(o.scratch.impact), o.y, k.events, task)
     k.events += 1
-    return AGAIN
+    return loop.AGAIN
 
 
 @called
 def begin_piece(r, k, o, task, leaping):
     """Begin after a change: act on guards already passed, pass a rest in one step; STEPPING, AGAIN or why it stops."""
-    derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
+    steppers.derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
     if all_guards(r.time, o.y, o, o.scratch.guards) < 0.0:
         # a jump of input or parameters has already passed a guard
         return handle_event(smallest(o.scratch.guards), r, k, o, task)
     k.fresh = 0
     k.has_jacobian = 0
     m = o.m
-    if not (leaping and valves_stand(o) and at_rest(m) and m.blocked == 0):
-        return STEPPING
+    if not (leaping and loop.valves_stand(o) and at_rest(m) and m.blocked == 0):
+        return loop.STEPPING
     if m.damper == COMPRESSIBLE and m.oil_rest == 0:
-        return STEPPING
+        return loop.STEPPING
     status, index = pass_rest(r, k, o, r.y1, r.stage, task, k.states)
-    if status == AGAIN:
-        r.wanted = STEP_AFTER_REST_S
+    if status == loop.AGAIN:
+        r.wanted = loop.STEP_AFTER_REST_S
         k.fresh = 1
     return handle_event(index, r, k, o, task) if index >= 0 else status
 
@@ -119,12 +90,12 @@ def try_step(r, k, o):
     n_all = n + k.quadratures
     if o.m.damper == COMPRESSIBLE:
         if k.has_jacobian == 0:
-            differentiate(o, r, n, n_all, k.quadratures > 0)
+            steppers.differentiate(o, r, n, n_all, k.quadratures > 0)
             k.has_jacobian = 1
-        return stiff_step(o, r, n, n_all, k.quadratures > 0), 0.25
+        return steppers.stiff_step(o, r, n, n_all, k.quadratures > 0), 0.25
     for i in range(n_all):
         r.k[0, i] = r.k[6, i]
-    return explicit_step(o, r, n, n_all, k.quadratures > 0), 0.2
+    return steppers.explicit_step(o, r, n, n_all, k.quadratures > 0), 0.2
 
 
 @called
@@ -143,22 +114,22 @@ def judge_step(r, k, o, norm, power, follow):
     h = r.step
     if not norm <= 1.0e300:
         if 0.1 * h < 1e-14 or follow:
-            return NOT_FINITE
+            return loop.NOT_FINITE
         reject(r, k, 0.1 * h, explicit)
-        return AGAIN
+        return loop.AGAIN
     factor = 5.0 if norm < 1e-12 else min(5.0, max(0.2, 0.9 * norm ** (-power)))
     if norm > 1.0 and not follow:
         shorter = h * min(factor, 0.9)
         if shorter < 1e-14:
-            return STEP_TOO_SMALL
+            return loop.STEP_TOO_SMALL
         reject(r, k, shorter, explicit)
-        return AGAIN
+        return loop.AGAIN
     k.steps += 1
     grown = h * factor
     cut = h == r.next - r.time and h < r.wanted
     r.wanted = max(r.wanted, grown) if cut else grown
-    r.wanted = min(r.wanted, 0.01 if at_rest(o.m) else LONGEST_STEP_S)
-    return STEPPING
+    r.wanted = min(r.wanted, 0.01 if at_rest(o.m) else loop.LONGEST_STEP_S)
+    return loop.STEPPING
 
 
 @called
@@ -170,7 +141,7 @@ def find_event(r, k, o, task):
     explicit = o.m.damper != COMPRESSIBLE
     fired = False
     theta = 1.0
-    if expects_event(task, k.steps - 1):
+    if loop.expects_event(task, k.steps - 1):
         fired = all_guards(end, r.y1, o, o.scratch.guards) < 0.0
         if not fired:
             theta = hidden_meeting(h, r.y1, o)
@@ -179,10 +150,10 @@ def find_event(r, k, o, task):
     sampled = k.next_sample < task.n_sample and task.samples[k.next_sample] <= end
     if fired or theta < 1.0 or sampled:
         if explicit:
-            explicit_dense(h, o.y, r.y1, r.k, r.dense, n_all)
+            steppers.explicit_dense(h, o.y, r.y1, r.k, r.dense, n_all)
         else:
-            stiff_dense(o.y, r.y1, r.k, r.dense, n_all)
-    return first_event(r, theta, fired, r.y1, r.stage, o, task, n_all)
+            steppers.stiff_dense(o.y, r.y1, r.k, r.dense, n_all)
+    return loop.first_event(r, theta, fired, r.y1, r.stage, o, task, n_all)
 
 
 @called
@@ -191,43 +162,43 @@ def finish_step(r, k, o, task):
     h = r.step
     last = h == r.next - r.time
     theta, index = find_event(r, k, o, task)
-    if index == -2 or not follow_or_write(r, task, k.steps - 1, last, float(index)):
-        return OFF_GRID
+    if index == -2 or not loop.follow_or_write(r, task, k.steps - 1, last, float(index)):
+        return loop.OFF_GRID
     until = r.next if last and index < 0 else r.time + theta * h
-    sample_step(r, k, r.dense, until, theta, task)
+    loop.sample_step(r, k, r.dense, until, theta, task)
     for i in range(k.states + k.quadratures):
         o.y[i] = r.y1[i]
     r.time = until
     if index >= 0:
         status = handle_event(index, r, k, o, task)
-        r.wanted = min(r.wanted, max(STEP_AFTER_EVENT_S, 0.3 * h))
+        r.wanted = min(r.wanted, max(loop.STEP_AFTER_EVENT_S, 0.3 * h))
         return status
     if o.m.damper == COMPRESSIBLE:
-        derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
+        steppers.derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
     k.has_jacobian = 0
-    return STEPPING
+    return loop.STEPPING
 
 
 @called
 def next_event(r, k, o, task, leaping):
     """One turn of the event loop: a switch, an event, a rest or a step; STEPPING, AGAIN, DONE or why it stops."""
-    if apply_switches(r, k, o, task):
+    if loop.apply_switches(r, k, o, task):
         k.fresh = 1
         r.wanted = min(r.wanted, 1e-3)
     if r.time >= r.end:
-        return DONE
+        return loop.DONE
     if k.fresh != 0:
         status = begin_piece(r, k, o, task, leaping)
-        if status != STEPPING:
+        if status != loop.STEPPING:
             return status
     if o.m.system != FIXED:
         note_side(length_state(o.y), o.m, o.p)
-    status = choose_step(r, k, task)
-    if status != STEPPING:
+    status = loop.choose_step(r, k, task)
+    if status != loop.STEPPING:
         return status
     norm, power = try_step(r, k, o)
     status = judge_step(r, k, o, norm, power, task.use == FOLLOW_GRID)
-    if status != STEPPING:
+    if status != loop.STEPPING:
         return status
     return finish_step(r, k, o, task)
 
@@ -257,7 +228,7 @@ def advance(run, control, p, c, switches, samples, out, events, curves, grid):
     columns = k.columns
     for i in range(n_columns):
         columns[i] = i
-    task = Task(
+    task = loop.Task(
         view(switches, 0), switches.shape[0], view(samples, 0), n_sample, columns, n_columns,
         view(out, 0), view(events, 0), events.shape[0], view(curves, 0), curves.shape[0] > 1,
         view(grid, 0), k.grid_steps, k.use, view(curves, 0), False,
@@ -268,12 +239,12 @@ def advance(run, control, p, c, switches, samples, out, events, curves, grid):
     r.time = 0.0
     k.next_switch = 0
     k.next_sample = 0
-    k.most_events = k.events + k.corners + MAX_EVENTS
+    k.most_events = k.events + k.corners + loop.MAX_EVENTS
     k.fresh = 1
-    status = STEPPING
+    status = loop.STEPPING
     while status < 0:
         status = next_event(r, k, o, task, leaping)
-    if status != DONE:
+    if status != loop.DONE:
         return status
     for i in range(k.next_sample, n_sample):
         for j in range(n_columns):
@@ -281,4 +252,4 @@ def advance(run, control, p, c, switches, samples, out, events, curves, grid):
     for j in range(3):
         r.u0[j] = r.u0[j] + r.du[j] * r.end
     r.wanted = max(r.wanted, 1e-9)
-    return DONE
+    return loop.DONE

@@ -15,22 +15,11 @@ from __future__ import annotations
 
 import operator
 
-from numba import errors, types
+from numba import errors, extending, types
 
 # numba.extending has no base for attributes but `overload_attribute`, a function compiled for each of
 # some hundred fields: a third more time for the first compilation
 from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    infer_getattr,
-    intrinsic,
-    lower_builtin,
-    lower_cast,
-    lower_getattr_generic,
-    lower_setattr_generic,
-    models,
-    register_model,
-    type_callable,
-)
 
 from plant.kernel.compiled import CHECKED, announce
 from plant.kernel.records import RECORDS, Record
@@ -63,8 +52,8 @@ class View(types.Type):
         return RECORDS[self.record].fields.get(name) if self.record else None
 
 
-@register_model(View)
-class ViewModel(models.PrimitiveModel):
+@extending.register_model(View)
+class ViewModel(extending.models.PrimitiveModel):
     """A view is a pointer to its first element."""
 
     def __init__(self, manager, view_type) -> None:
@@ -92,7 +81,7 @@ def _move_pointer(context, builder, signature, arguments):
     return builder.gep(pointer, [arguments[1]])
 
 
-@intrinsic
+@extending.intrinsic
 def _view(typing_context, array, offset):
     """View of a C-contiguous array from element `offset` on."""
     if not _is_contiguous(array):
@@ -100,13 +89,13 @@ def _view(typing_context, array, offset):
     return View(array.dtype)(array, types.intp), _move_pointer
 
 
-@intrinsic(prefer_literal=True)
+@extending.intrinsic(prefer_literal=True)
 def _lane(typing_context, v, index, width):
     """Lane `index` of `width` (a constant) interleaved copies: element i is v[i width + index]."""
     return View(v.dtype, width.literal_value)(v, types.intp, width), _move_pointer
 
 
-@intrinsic
+@extending.intrinsic
 def _discarding(typing_context, v):
     """Return the same view, to which nothing is written."""
     return View(v.dtype, v.width, v.length, discards=True)(v), _cast_pointer
@@ -116,7 +105,7 @@ def _named(record: type[Record], zeros: tuple[str, ...] = ()):
     """Return the function that makes a view or C-contiguous array one of a record; `zeros`: fields that read as 0."""
     name = record.__name__
 
-    @intrinsic
+    @extending.intrinsic
     def named(typing_context, v):
         announce()
         if not isinstance(v, View) and not _is_contiguous(v):
@@ -127,7 +116,7 @@ def _named(record: type[Record], zeros: tuple[str, ...] = ()):
     return named
 
 
-@intrinsic
+@extending.intrinsic
 def moved_pointer(typing_context, pointer, count):
     """Return a pointer `count` elements further on."""
 
@@ -137,7 +126,7 @@ def moved_pointer(typing_context, pointer, count):
     return pointer(pointer, types.intp), generate
 
 
-@intrinsic
+@extending.intrinsic
 def call_compiled(typing_context, address, slot, t, x, v, direction, pressure, values):
     """Call the compiled term at an address."""
 
@@ -150,7 +139,7 @@ def call_compiled(typing_context, address, slot, t, x, v, direction, pressure, v
     return TERM.return_type(types.int64, *TERM.args[:-1], values), generate
 
 
-@intrinsic
+@extending.intrinsic
 def _unlikely(typing_context, condition):
     """Return a condition that is rarely true: the compiler moves what depends on it out of the way."""
     both = types.ExternalFunctionPointer(types.boolean(types.boolean, types.boolean), None)
@@ -170,12 +159,12 @@ def _selected_type(v, index):
     return View(v.dtype, v.width) if is_row or isinstance(index, types.SliceType) else v.dtype
 
 
-@type_callable(operator.getitem)
+@extending.type_callable(operator.getitem)
 def _type_of_read(context):
     return lambda v, index: _selected_type(v, index) if isinstance(v, View) else None
 
 
-@type_callable(operator.setitem)
+@extending.type_callable(operator.setitem)
 def _type_of_write(context):
     return lambda v, index, value: types.none if isinstance(v, View) else None
 
@@ -203,14 +192,14 @@ def _selected(context, builder, v, pointer, index_type, index):
     return _element(builder, v, pointer, index)
 
 
-@lower_builtin(operator.getitem, View, types.Any)
+@extending.lower_builtin(operator.getitem, View, types.Any)
 def _read(context, builder, signature, arguments):
     v, index_type = signature.args
     pointer = _selected(context, builder, v, arguments[0], index_type, arguments[1])
     return pointer if isinstance(signature.return_type, View) else builder.load(pointer)
 
 
-@lower_builtin(operator.setitem, View, types.Any, types.Any)
+@extending.lower_builtin(operator.setitem, View, types.Any, types.Any)
 def _write(context, builder, signature, arguments):
     v, index_type, kind = signature.args
     if not v.discards:
@@ -223,7 +212,7 @@ def _field_pointer(context, builder, v, pointer, field):
     return _element(builder, v, pointer, context.get_constant(types.intp, field.start))
 
 
-@infer_getattr
+@extending.infer_getattr
 class Fields(AttributeTemplate):
     """Attributes of a view of a record: one number, or a view of several."""
 
@@ -237,7 +226,7 @@ class Fields(AttributeTemplate):
         return View(v.dtype, v.width, field.row) if field.length else v.dtype
 
 
-@lower_getattr_generic(View)
+@extending.lower_getattr_generic(View)
 def _get(context, builder, v, pointer, name):
     field = v.field(name)
     if name in v.zeros:
@@ -246,7 +235,7 @@ def _get(context, builder, v, pointer, name):
     return pointer if field.length else builder.load(pointer)
 
 
-@lower_setattr_generic(View)
+@extending.lower_setattr_generic(View)
 def _set(context, builder, signature, arguments, name):
     v = signature.args[0]
     pointer, value = arguments
@@ -254,7 +243,7 @@ def _set(context, builder, signature, arguments, name):
         builder.store(value, _field_pointer(context, builder, v, pointer, v.field(name)))
 
 
-@lower_cast(types.IntEnumMember, types.Float)
+@extending.lower_cast(types.IntEnumMember, types.Float)
 def _enumerated(context, builder, member, number, value):
     """Compare members of the enumerations with elements of float arrays."""
     return context.cast(builder, value, member.dtype, number)

@@ -78,9 +78,9 @@ class LengthStroke(HybridSystem):
         self.valve_delays_ns: tuple[int, int] | None = None
         has_line = False
         if parameters.effects:
-            from plant.systems.run_effects import applied
+            from plant.effects import apply_to_run
 
-            setup = applied(parameters, p, c, supply_pressure_pa, load.damper != "none")
+            setup = apply_to_run(parameters, p, c, supply_pressure_pa, load.damper != "none")
             self.valve_delays_ns = (setup.timing.rise_ns, setup.timing.fall_ns)
             has_line = setup.has_line
         # every shift sweeps chamber N; the others shrink in one gear only, which may never come

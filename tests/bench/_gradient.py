@@ -17,8 +17,7 @@ REFERENCE_SHARE = 3e-5
 def measure() -> Iterator[str]:
     """Lines of the table."""
     from plant.batch.batch import BATCH_TOLERANCE, Strokes, simulate_batch
-    from plant.batch.prediction import Predictor
-    from plant.batch.tangents import MOVE, Followers
+    from plant.batch.prediction import MOVE, Followers, Predictor
     from plant.effects.stroke_conditions import StrokeConditions
     from plant.kernel.layout import FixedState, LengthState, Parameters
     from plant.parameters import load

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from plant.integrator import steppers
-from plant.integrator.workspace import Run
+from plant.integrator.loop import Run
 
 Floats = NDArray[np.float64]
 Rhs = Callable[[float, Floats], Floats]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from plant.batch.tangents import MOVE
+from plant.batch.prediction import MOVE
 from plant.effects import EffectParameter
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift

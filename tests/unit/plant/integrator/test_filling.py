@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from plant.integrator import filling_curves
-from plant.integrator.filling_curves import (
+from plant.integrator.filling import (
     CELLS_FAR,
     CURVE,
     TABLE,

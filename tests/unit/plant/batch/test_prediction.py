@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from plant.batch.batch import Strokes, simulate_batch
-from plant.batch.prediction import Predictor
-from plant.batch.tangents import MOVE, Followers
+from plant.batch.prediction import MOVE, Followers, Predictor
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.integrator.loop import DONE
