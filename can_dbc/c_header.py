@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-from can_dbc.codec import conversion_of, missing_from, si_factors, spec_of
+from can_dbc.codec import SI_FACTORS, conversion_of, missing_from, spec_of
 from can_dbc.contract import SignalSpec
 from can_dbc.frame import split_id
 from can_dbc.messages import SIGNALS, Chamber, Fault, Gear, OverrideMode, ShiftState
@@ -26,6 +26,19 @@ class _Field(NamedTuple):
     signal: SignalSpec
     optional: bool
     expected: str
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Least and largest raw value of a number or a choice; of a whole number, the value itself."""
+        signal = self.signal
+        if self.hint is int:
+            return int(signal.minimum), int(signal.maximum)
+        if self.hint is not float:
+            return 0, 1 if self.hint is bool else int(signal.maximum)
+        low, high = (
+            round((x - signal.offset) / signal.factor) for x in (signal.minimum, signal.maximum)
+        )
+        return low, high
 
     @property
     def c_type(self) -> str:
@@ -97,18 +110,6 @@ def _struct(kind: type) -> str:
     return "\n".join([*lines, "};"])
 
 
-def _limits(signal: SignalSpec) -> tuple[int, int]:
-    low, high = (
-        (limit - signal.offset) / signal.factor for limit in (signal.minimum, signal.maximum)
-    )
-    return round(low), round(high)
-
-
-def _top(field: _Field) -> int:
-    """Return the largest raw value of a choice."""
-    return 1 if field.hint is bool else int(field.signal.maximum)
-
-
 def _unused(kind: type) -> tuple[int, bool]:
     """Return the unused bits of a message, and whether a receiver checks that they are 1."""
     spec = spec_of(kind)
@@ -124,31 +125,23 @@ def _pack(kind: type) -> Iterator[str]:
     yield "{"
     yield f"    uint64_t word = 0x{unused:016X}u;"
     for field in _fields(kind):
-        signal, value = field.signal, f"message->{field.name}"
+        signal, value, (low, high) = field.signal, f"message->{field.name}", field.limits
         what = f"{kind.__name__}.{field.name} cannot be sent; expected {field.expected}"
-        refused = f'        return "{what}";'
-        indent = ""
+        indent = "    " if field.optional else ""
         if field.optional:
             yield f"    if (!message->has_{field.name}) {{"
             yield f"        word |= (uint64_t)0x{signal.mask:X}u << {signal.start};"
             yield "    } else {"
-            indent = "    "
         if field.hint is float:
-            to_si, by = map(repr, si_factors(signal))
-            low, high = _limits(signal)
+            to_si, by = map(repr, SI_FACTORS[signal.unit])
             numbers = f"{by}, {to_si}, {float(signal.offset)!r}, {float(signal.factor)!r}, {low}.0, {high}.0"
             yield f"{indent}    if (!opc4_put_number(&word, {value}, {numbers}, 0x{signal.mask:X}u, {signal.start}))"
         elif field.hint is str:
             yield f"{indent}    if (!opc4_put_text(&word, {value}, {signal.start}))"
         else:
-            low, high = (
-                (int(signal.minimum), int(signal.maximum))
-                if field.hint is int
-                else (0, _top(field))
-            )
             offset = int(signal.offset)
             yield f"{indent}    if (!opc4_put_whole(&word, (int32_t){value}, {low}, {high}, {offset}, {signal.start}))"
-        yield indent + refused
+        yield f'{indent}        return "{what}";'
         if field.optional:
             yield "    }"
     yield f"    opc4_put_word(frame, OPC4_{name.upper()}_ID, word);"
@@ -183,48 +176,36 @@ def _unpack(kind: type) -> Iterator[str]:
 
 
 def _refused(field: _Field, raw: str) -> str:
-    signal = field.signal
-    if field.hint is float:
-        low, high = _limits(signal)
-    elif field.hint is int:
-        low, high = int(signal.minimum - signal.offset), int(signal.maximum - signal.offset)
-    else:
-        low, high = 0, _top(field)
-    return f"!opc4_is_within({raw}, {low}, {high})"
+    offset = int(field.signal.offset) if field.hint is int else 0
+    low, high = field.limits
+    return f"!opc4_is_within({raw}, {low - offset}, {high - offset})"
 
 
 def _assigned(field: _Field, target: str, raw: str) -> str:
     signal = field.signal
     if field.hint is float:
-        to_si, by = map(repr, si_factors(signal))
+        to_si, by = map(repr, SI_FACTORS[signal.unit])
         return f"{target} = ({raw} * {float(signal.factor)!r} + {float(signal.offset)!r}) * {to_si} / {by};"
     if field.hint is int:
         return f"{target} = {raw} + {int(signal.offset)};".replace("+ -", "- ")
-    return (
-        f"{target} = ({field.c_type}){raw};"
-        if field.hint is not bool
-        else f"{target} = {raw} != 0;"
-    )
+    return f"{target} = {raw} != 0;" if field.hint is bool else f"{target} = ({field.c_type}){raw};"
 
 
 def _send(kind: type) -> str:
     name = snake(kind.__name__)
-    protect = (
-        f"opc4_protect(&frame, opc4_{name}_data_ids, &counter);"
-        if spec_of(kind).e2e_data_ids
-        else ""
-    )
+    is_protected = bool(spec_of(kind).e2e_data_ids)
+    protect = f"    opc4_protect(&frame, opc4_{name}_data_ids, &counter);"
     lines = [
         f"static inline void opc4_send_{name}_at(const struct opc4_{name} *message, const char *file, uint32_t line)",
         "{",
-        *(["    static uint8_t counter;"] if protect else []),
+        *(["    static uint8_t counter;"] if is_protected else []),
         "    struct opc4_frame frame;",
         f"    const char *refused = opc4_pack_{name}(message, &frame);",
         "    if (refused != NULL) {",
         "        opc4_fail_at(refused, file, line);",
         "        return;",
         "    }",
-        *([f"    {protect}"] if protect else []),
+        *([protect] if is_protected else []),
         "    opc4_send_at(&frame, file, line);",
         "}",
         f"#define opc4_send_{name}(message) opc4_send_{name}_at((message), __FILE__, __LINE__)",

@@ -18,7 +18,7 @@ from can_dbc.errors import CodecError
 from can_dbc.frame import Frame, split_id
 from can_dbc.messages import SIGNALS, Message
 
-_SI = {
+SI_FACTORS = {
     "": (1.0, 1.0),
     "K": (1.0, 1.0),
     "Pa": (1.0, 1.0),
@@ -46,7 +46,7 @@ class Conversion(NamedTuple):
 
 def _number(signal: SignalSpec) -> Conversion:
     factor, offset, mask = signal.factor, signal.offset, signal.mask
-    to_si, by = _SI[signal.unit]
+    to_si, by = SI_FACTORS[signal.unit]
     low, high = (round((x - offset) / factor) for x in (signal.minimum, signal.maximum))
     negative_from = mask >> 1 if signal.signed else mask
 
@@ -120,11 +120,6 @@ _TEXT = Conversion(_text_to_raw, _text_from_raw, "two characters of codes 0 to 2
 def missing_from(is_text: bool, signal: SignalSpec) -> int:
     """Return the first raw value that means error or not available (SAE J1939-71, 5.1)."""
     return signal.mask if is_text else {2: 2, 8: 0xFE, 16: 0xFE00}[signal.length]
-
-
-def si_factors(signal: SignalSpec) -> tuple[float, float]:
-    """Return numerator and denominator that turn the numbers of a signal's unit into SI."""
-    return _SI[signal.unit]
 
 
 def _optional(inner: Conversion, signal: SignalSpec) -> Conversion:
@@ -274,44 +269,19 @@ def _decoder(can_id: int) -> Callable[[bytes], Any]:
 
 
 def encode(message: Message) -> Frame:
-    """Return the frame of a message, rounded half to even to the resolution of the DBC.
+    """Return the frame of a message in SI units, rounded half to even to the resolution of the DBC.
 
-    Parameters
-    ----------
-    message
-        One of the classes in `can_dbc.messages`, in SI units.
-
-    Returns
-    -------
-    Frame
-        29-bit identifier and data; counter and CRC of protected messages are 0.
-
-    Raises
-    ------
-    CodecError
-        If a value is out of range, NaN or of another type; the message names the field.
+    Counter and CRC of protected messages are 0.
+    Raises CodecError, naming the field, for a value that is out of range, NaN or of another type.
     """
     kind: type = message.__class__
     return _codec(kind).encode(message)
 
 
 def decode(frame: Frame) -> Message:
-    """Return the message in a frame; the inverse of `encode` on the grid of the DBC.
+    """Return the message in a frame, in SI units; counter and CRC are not checked here.
 
-    Parameters
-    ----------
-    frame
-        Frame as it arrived; counter and CRC are not checked here.
-
-    Returns
-    -------
-    Message
-        The message in SI units.
-
-    Raises
-    ------
-    CodecError
-        If the identifier is unknown, the length wrong, a value without meaning, or an unused bit 0.
+    Raises CodecError for an unknown identifier, a wrong length, a value without meaning, and an unused bit that is 0.
     """
     message: Message = _decoder(frame[0])(frame[1])
     return message

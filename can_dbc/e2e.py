@@ -1,12 +1,10 @@
 """End-to-end protection of the safety-relevant messages: AUTOSAR E2E profile 2.
 
-Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the counter, the low nibble
-of byte 1 the counter. The 16 data ids of each message are in opc4.dbc. No two messages share one,
-so that a masqueraded frame never passes; they are chosen such that every error of one or two bits
-is detected, also in the counter. The CRC is the autosar-e2e library's; the check and
-the state machine of the receiver follow AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM), with
-two additions on the safe side: a timeout in simulated time, and a SYNC frame, whose sequence is not
-confirmed yet, is not accepted.
+Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the counter, the low nibble of byte 1 the counter.
+No two messages share one of their 16 data ids (opc4.dbc), so that a masqueraded frame never passes; they detect every error
+of one or two bits, also in the counter. The CRC is the autosar-e2e library's; check and state machine of the receiver follow
+AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM), with two additions on the safe side: a timeout in simulated time, and a
+SYNC frame, whose sequence is not confirmed yet, is not accepted.
 """
 
 from __future__ import annotations

@@ -12,7 +12,13 @@ GEAR_PARK = 126
 """Value of the J1939 gear fields that means park (raw 251)."""
 
 
-class Gear(IntEnum):
+class Code(IntEnum):
+    """A coded value, with the hash of any other int that equals it."""
+
+    __hash__ = int.__hash__
+
+
+class Gear(Code):
     """Position of the length stroke; UNKNOWN while none is confirmed."""
 
     NEUTRAL = 0
@@ -20,10 +26,8 @@ class Gear(IntEnum):
     FORWARD = 2
     UNKNOWN = 3
 
-    __hash__ = int.__hash__  # as of any other int that equals it
 
-
-class Chamber(IntEnum):
+class Chamber(Code):
     """Air chamber of the actuator; NONE where no chamber is meant."""
 
     B = 0
@@ -31,10 +35,8 @@ class Chamber(IntEnum):
     F = 2
     NONE = 3
 
-    __hash__ = int.__hash__
 
-
-class ShiftState(IntEnum):
+class ShiftState(Code):
     """State of the firmware's shift sequence."""
 
     INIT = 0
@@ -45,8 +47,6 @@ class ShiftState(IntEnum):
     HOLD = 5
     VENT = 6
     FAULT = 7
-
-    __hash__ = int.__hash__
 
 
 class Fault(IntFlag):
@@ -81,15 +81,13 @@ class StopReason(IntEnum):
     ABORTED = 1
 
 
-class OverrideMode(IntEnum):
+class OverrideMode(Code):
     """What TSC1 asks of the engine (SPN 695)."""
 
     NONE = 0
     SPEED = 1
     TORQUE = 2
     LIMIT = 3
-
-    __hash__ = int.__hash__
 
 
 class E2eState(Enum):
@@ -102,15 +100,21 @@ class E2eState(Enum):
     __hash__ = object.__hash__
 
 
+class Message:
+    """Any message of the simulated bus."""
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True, slots=True)
-class ShiftRequest:
+class ShiftRequest(Message):
     """The driver's or vehicle's request for a gear; shift console to OPC4, every 20 ms."""
 
     target: Gear
 
 
 @dataclass(frozen=True, slots=True)
-class ValveCommand:
+class ValveCommand(Message):
     """Duty cycles 0..1 of the three solenoid valves and the gear they serve; OPC4, every tick."""
 
     duty_b: float
@@ -120,7 +124,7 @@ class ValveCommand:
 
 
 @dataclass(frozen=True, slots=True)
-class SafetyBlow:
+class SafetyBlow(Message):
     """The blow into a chamber after confirmation, and how long it still lasts; OPC4, every tick."""
 
     chamber: Chamber
@@ -129,7 +133,7 @@ class SafetyBlow:
 
 
 @dataclass(frozen=True, slots=True)
-class PositionPulse:
+class PositionPulse(Message):
     """One measurement of the inductive sensor: time to 8 V, coil temperature, number mod 256."""
 
     pulse_s: float
@@ -138,7 +142,7 @@ class PositionPulse:
 
 
 @dataclass(frozen=True, slots=True)
-class DrivelineSpeeds:
+class DrivelineSpeeds(Message):
     """Shaft speeds referred to the synchronizer: equal means synchronized; every 10 ms.
 
     referred: the gear with whose ratio the input speed is referred; UNKNOWN if not stated.
@@ -150,7 +154,7 @@ class DrivelineSpeeds:
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerStatus:
+class ControllerStatus(Message):
     """The firmware's state, confirmed gear, position estimate and faults; OPC4, every tick."""
 
     state: ShiftState
@@ -160,7 +164,7 @@ class ControllerStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class Etc1:
+class Etc1(Message):
     """J1939 Electronic Transmission Controller 1 (PGN 61442), source address 3, every 10 ms.
 
     None: the sender has no valid value (sent as not available; received as that or as error).
@@ -183,7 +187,7 @@ class Etc1:
 
 
 @dataclass(frozen=True, slots=True)
-class Etc2:
+class Etc2(Message):
     """J1939 Electronic Transmission Controller 2 (PGN 61445), source address 3, every 10 ms.
 
     Gears: negative reverse, 0 neutral, positive forward, `GEAR_PARK` park. Ranges: the two
@@ -199,7 +203,7 @@ class Etc2:
 
 
 @dataclass(frozen=True, slots=True)
-class Tsc1:
+class Tsc1(Message):
     """J1939 Torque/Speed Control 1 (PGN 0), from the transmission to the engine, every 10 ms.
 
     SPN: override mode 695, requested speed 898, requested torque (of the reference torque) 518.
@@ -211,14 +215,14 @@ class Tsc1:
 
 
 @dataclass(frozen=True, slots=True)
-class Tc1:
+class Tc1(Message):
     """J1939 Transmission Control 1 (PGN 256), shift console, every 50 ms; requested gear (SPN 525) as in `Etc2`."""
 
     requested_gear: int | None
 
 
 @dataclass(frozen=True, slots=True)
-class Eec1:
+class Eec1(Message):
     """J1939 Electronic Engine Controller 1 (PGN 61444), every 10 ms.
 
     Torques as shares of the reference torque. SPN: torque mode 899 (1 pedal, 6 transmission),
@@ -234,7 +238,7 @@ class Eec1:
 
 
 @dataclass(frozen=True, slots=True)
-class Eec2:
+class Eec2(Message):
     """J1939 Electronic Engine Controller 2 (PGN 61443), every 50 ms.
 
     SPN: accelerator pedal (0..1) 91, load at the present speed (0..1.25) 92.
@@ -245,14 +249,14 @@ class Eec2:
 
 
 @dataclass(frozen=True, slots=True)
-class Air1:
+class Air1(Message):
     """J1939 Air Supply Pressure (PGN 65198), every second; supply (SPN 46) above atmosphere."""
 
     supply_gauge_pa: float | None
 
 
 @dataclass(frozen=True, slots=True)
-class PlantMotion:
+class PlantMotion(Message):
     """True motion for recorders: stay position and velocity, positions of the two pistons."""
 
     position_m: float
@@ -262,7 +266,7 @@ class PlantMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class PlantPressures:
+class PlantPressures(Message):
     """True absolute pressures for recorders: chambers B, N, F and supply."""
 
     pressure_b_pa: float
@@ -270,25 +274,6 @@ class PlantPressures:
     pressure_f_pa: float
     supply_pa: float
 
-
-Message = (
-    ShiftRequest
-    | ValveCommand
-    | SafetyBlow
-    | PositionPulse
-    | DrivelineSpeeds
-    | ControllerStatus
-    | Etc1
-    | Etc2
-    | Tsc1
-    | Tc1
-    | Eec1
-    | Eec2
-    | Air1
-    | PlantMotion
-    | PlantPressures
-)
-"""Any message of the simulated bus."""
 
 SIGNALS: dict[type, tuple[str, ...]] = {
     ShiftRequest: ("TargetGear",),

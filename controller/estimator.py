@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from controller.filters import SectionFilter, butterworth
 from controller.light_model import LightModel, LightModelState, ModelSettings, Valve
+from controller.position import position_filter
 from controller.settings import ControlConfig, Settings, bounded
 
 STEP_S = 0.0005
@@ -41,11 +41,7 @@ class Observer:
         self.driving = Valve(model.valve_open_s, model.valve_close_s)
         self.braking = Valve(model.valve_open_s, model.valve_close_s)
         self._ring = [0.0] * (self._past + 1)
-        self._filter: SectionFilter | None = None
-        filtering = config.filter
-        if filtering.enabled:
-            rate_hz = 1.0 / config.sensor.period_s
-            self._filter = SectionFilter(butterworth(filtering.order, filtering.fc_hz, rate_hz))
+        self._filter = position_filter(config)
         self.reset()
 
     def reset(self) -> None:

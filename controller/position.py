@@ -98,6 +98,14 @@ class Plausibility:
                 self.implausible = True
 
 
+def position_filter(config: ControlConfig) -> SectionFilter | None:
+    """Return the filter of the position, one step per sensor sample; None if it is off."""
+    design = config.filter
+    if not design.enabled:
+        return None
+    return SectionFilter(butterworth(design.order, design.fc_hz, 1.0 / config.sensor.period_s))
+
+
 class PositionEstimator:
     """From pulses to the estimate: one filter step per sensor sample, bounded work per step.
 
@@ -112,11 +120,7 @@ class PositionEstimator:
         self._still_m = self._calibration.still_m
         self._plausibility = Plausibility(sensor, config.windows.stroke_m, self._still_m)
         self._rate_hz = 1.0 / sensor.period_s
-        self._filter: SectionFilter | None = None
-        if config.filter.enabled:
-            self._filter = SectionFilter(
-                butterworth(config.filter.order, config.filter.fc_hz, self._rate_hz)
-            )
+        self._filter = position_filter(config)
         self._most_pulses = int(config.period_s / sensor.period_s) + 3
         self._longest_gap = min(64, int(config.e2e.position_timeout_s / sensor.period_s))
         self._settled = False

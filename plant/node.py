@@ -187,9 +187,7 @@ class PlantNode:
         for chamber, valve in enumerate(self.valve_group.valves):
             updates.append((0, VALVE + chamber, float(valve.is_open)))
             valve.command(0, 0.0)
-        updates += (
-            (at, CURRENT + chamber, amps) for at, chamber, amps in self.valve_group.currents()
-        )
+        updates += self._currents()
         self._arm_synchronizer(0)
         updates.append((0, SPEEDS, self.driveline.input_rad_s))
         updates.append((0, SPEEDS + 1, self.driveline.output_rad_s))
@@ -250,10 +248,11 @@ class PlantNode:
             for chamber, duty in enumerate(duties)
         ]
         updates += ((at, VALVE + chamber, u) for at, chamber, u in switches)
-        updates += (
-            (at, CURRENT + chamber, amps) for at, chamber, amps in self.valve_group.currents()
-        )
+        updates += self._currents()
         return updates
+
+    def _currents(self) -> list[Update]:
+        return [(at, CURRENT + chamber, amps) for at, chamber, amps in self.valve_group.currents()]
 
     def _publish(self, now_ns: int, updates: list[Update]) -> list[Frame]:
         """Frames of the events due at `now_ns`."""

@@ -16,26 +16,14 @@ Floats = NDArray[np.float64]
 Update = tuple[int, int, float]  # instant in ns, column of SIGNALS + CURRENTS, value from then on
 
 STATES = (
-    "position_m",
-    "velocity_m_s",
-    "piston_1_m",
-    "piston_2_m",
-    "pressure_B_pa",
-    "pressure_N_pa",
-    "pressure_F_pa",
-    "pressure_oil2_pa",
+    *("position_m", "velocity_m_s", "piston_1_m", "piston_2_m"),
+    *(f"pressure_{chamber}_pa" for chamber in ("B", "N", "F", "oil2")),
     "spent_impulse_n_s",
 )
 SIGNALS = (
-    "cmd_B",
-    "cmd_N",
-    "cmd_F",
-    "valve_B",
-    "valve_N",
-    "valve_F",
-    "pulse_s",
-    "input_rad_s",
-    "output_rad_s",
+    *(f"cmd_{chamber}" for chamber in "BNF"),
+    *(f"valve_{chamber}" for chamber in "BNF"),
+    *("pulse_s", "input_rad_s", "output_rad_s"),
 )
 CURRENTS = ("current_B_a", "current_N_a", "current_F_a")
 TRACE_COLUMNS = ("time_s", *STATES, *SIGNALS)

@@ -75,7 +75,6 @@ class Strategy(abc.ABC):
 
     Parameters: ClassVar[type[Struct]] = Settings
     """Of the strategy's settings, from `strategy_parameters`."""
-    name: ClassVar[str]
 
     def __init__(self, config: ControlConfig, parameters: Struct) -> None:
         self.config = config

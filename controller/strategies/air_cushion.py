@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from controller.settings import bounded
 from controller.strategies.into_gear import (
@@ -34,7 +34,6 @@ class AirCushion(IntoGear):
     """
 
     Parameters = AirCushionParameters
-    name: ClassVar[str] = "air_cushion"
     parameters: AirCushionParameters
 
     _begun_s: float | None = None

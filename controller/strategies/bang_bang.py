@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from can_dbc.errors import InputError
 from controller.settings import bounded
@@ -47,14 +47,12 @@ class BangBangParameters(ForesightParameters, frozen=True):
 class BangBang(Foresight):
     """Push, and brake as late as the light model says is early enough (thesis 4.1, 4.2.1).
 
-    Pontryagin's principle makes the quickest soft arrival a matter of switching times. Until motion
-    has been measured the stored time counts; from then on it is solved anew in every step, by
-    bisection on the impact speed. At most 8 trials of horizon/0.5 ms model steps of some 60
-    operations: 60,000 a step at a horizon of 60 ms.
+    By Pontryagin the quickest soft arrival is a matter of switching times. Until motion is measured the stored time counts; then
+    it is solved anew in every step, by bisection on the impact speed: at most 8 trials of horizon/0.5 ms model steps of some 60
+    operations, 60,000 a step at a horizon of 60 ms.
     """
 
     Parameters = BangBangParameters
-    name: ClassVar[str] = "bang_bang"
     parameters: BangBangParameters
 
     _moved = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from can_dbc.messages import Gear
 from controller.settings import Settings, bounded
@@ -25,7 +25,6 @@ class BlowCut(OpenLoop):
     """
 
     Parameters = BlowCutParameters
-    name: ClassVar[str] = "blow_cut"
     parameters: BlowCutParameters
 
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from controller.settings import bounded
 from controller.strategies.into_gear import (
@@ -27,7 +27,6 @@ class FixedProgramme(IntoGear):
     """Leave the driving chamber and fill the neutral one at fixed times of the push; at most 20 operations a step."""
 
     Parameters = FixedProgrammeParameters
-    name: ClassVar[str] = "fixed_programme"
     parameters: FixedProgrammeParameters
 
     def reset(self) -> None:

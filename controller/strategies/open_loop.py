@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from controller.position import Estimate
 from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
 
 
 class OpenLoop(Strategy):
     """Full duty on the charged chamber, whatever the position does (thesis 3.1.3, 6.1)."""
-
-    name: ClassVar[str] = "open_loop"
 
     def reset(self) -> None:
         """Nothing to forget."""

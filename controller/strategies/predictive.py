@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, NamedTuple
 
 from msgspec import Struct
 
@@ -49,7 +49,6 @@ class Predictive(Foresight):
     """
 
     Parameters = PredictiveParameters
-    name: ClassVar[str] = "predictive"
     parameters: PredictiveParameters
 
     def __init__(self, config: ControlConfig, parameters: Struct) -> None:

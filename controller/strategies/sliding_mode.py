@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from controller.settings import bounded
 from controller.strategies.into_gear import (
@@ -28,15 +28,12 @@ class SlidingModeParameters(IntoGearParameters, frozen=True):
 class SlidingMode(IntoGear):
     """Keep s = slope (goal - x) - v at zero: fill when above the band, brake when below.
 
-    On s = 0 the remaining way decays with 1/slope, whatever mass and load; the pressures, which
-    nobody measures, are left out of the surface (the reduction of order). Within the band both
-    chambers vent, which spares the valves. Source: Paul, Mishra and Radke, Reduced order sliding
-    mode control for pneumatic actuator, IEEE Trans. Control Systems Technology 2 (1994).
-    Some 5 additions, multiplications and comparisons a step.
+    On s = 0 the remaining way decays with 1/slope, whatever mass and load; the pressures, which nobody measures, are left out
+    (the reduction of order). Within the band both chambers vent. Some 5 operations a step. Source: Paul, Mishra and Radke, Reduced
+    order sliding mode control for pneumatic actuator, IEEE Trans. Control Systems Technology 2 (1994).
     """
 
     Parameters = SlidingModeParameters
-    name: ClassVar[str] = "sliding_mode"
     parameters: SlidingModeParameters
 
     def reset(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from math import sqrt
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from msgspec import Struct
 
@@ -39,18 +39,14 @@ class SynchroBrakeParameters(IntoGearParameters, frozen=True):
 class SynchroBrake(IntoGear):
     """Brake so that the counter-pressure is there when the shafts run together.
 
-    While the synchronizer blocks, the difference of the speeds falls; the parabola through its
-    last three reports says when it will be zero, which is when the stay is let go. The neutral
-    chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one is left
-    from `rest_lead_s` before it for `rest_s` (a valve follows only if it closes in less than that).
-    Every report renews the forecast until the first of the two begins; no brake if the release is too near or the force too small.
-    Some 50 additions, multiplications and comparisons a step, and a square root.
-    Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds,
-    it is the open loop.
+    While the synchronizer blocks, the difference of the speeds falls; the parabola through its last three reports says when it is
+    zero and the stay let go. The neutral chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one
+    left from `rest_lead_s` before it for `rest_s` (a valve follows only if it closes in less). Every report renews the forecast until
+    the first of the two begins; no brake if the release is too near or the force too small. Some 50 operations and a root a step.
+    Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds, it is the open loop.
     """
 
     Parameters = SynchroBrakeParameters
-    name: ClassVar[str] = "synchro_brake"
     parameters: SynchroBrakeParameters
 
     _release_s: float | None = None

@@ -1,13 +1,7 @@
 """Eight lanes side by side: one Runge-Kutta step of all of them as vector instructions.
 
-All numbers of a lane are `WIDTH` apart in one flat array; the equations are those of the scalar
-kernel.  With constant distances inside one array the compiler proves that nothing overlaps, which
-it needs to turn eight lanes into one instruction.
-
-Covered: mapped flow without leaks, line, damper, synchronizer, barriers or non-parametric terms
-(`FREE_OF`); everything else belongs to the scalar kernel.
-
-Checked by: tests/unit/plant/batch/test_batch.py
+All numbers of a lane are `WIDTH` apart in one flat array, so that the compiler can prove that nothing overlaps. Covered: mapped flow
+without leaks, line, damper, synchronizer, barriers or added terms (`FREE_OF`); all else belongs to the scalar kernel.
 """
 
 from __future__ import annotations

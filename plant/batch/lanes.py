@@ -217,15 +217,10 @@ def run_order(batch, outcome, room, table, order, tolerance, system, pace):
 
 @kernel
 def run_lanes(batch, outcome, room, table, order, tolerance, system, follow):
-    """Simulate the strokes `order` of a batch, in lanes.
+    """Simulate the strokes `order` (int64, their numbers) of a batch, in lanes.
 
-    Parameters
-    ----------
-    batch, outcome, room : `Batch`, `Outcome`, `Room`
-    table : filling curves of the only flow map, to pass rests in closed form; shorter if there are none
-    order : int64, numbers of the strokes to simulate
-    system : FIXED or LENGTH
-    follow : True if the first stroke writes the grid and the others take its steps
+    table: filling curves of the only flow map, to pass rests in closed form, shorter if there are none; system: FIXED or
+    LENGTH; follow: True if the first stroke writes the grid and the others take its steps.
     """
     if not follow:
         run_order(batch, outcome, room, table, order, tolerance, system, (OWN_STEPS, 1))

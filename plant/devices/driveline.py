@@ -59,11 +59,9 @@ class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Driveline:
     """Speeds of the two shafts, advanced at given instants with the state of the stay.
 
-    Out of gear the input speed ramps to what the engine leaves over. The cone needs the impulse
-    J = I |w_in - w_out| / k of its axial force to take the difference away, which falls in
-    proportion: w_in - w_out = (w_in - w_out)_0 (1 - spent/J). In gear the speeds are equal.
-    Assumptions: the engine gives no torque while the stay is away from neutral; the output shaft
-    keeps its speed.
+    Out of gear the input speed ramps to what the engine leaves over. The cone needs the impulse J = I |w_in - w_out| / k of its
+    axial force to take the difference away, in proportion: w_in - w_out = (w_in - w_out)_0 (1 - spent/J). In gear they are equal.
+    Assumptions: no torque of the engine while the stay is away from neutral; the output shaft keeps its speed.
     """
 
     def __init__(
@@ -144,8 +142,7 @@ class Driveline:
     ) -> float | None:
         """Advance to `now_ns`; return the impulse [N s] to arm the synchronizer with, or None.
 
-        `position_m` and `spent_impulse_n_s` are those of the stay at `now_ns`, `direction` the gear
-        that is being asked for (BACKWARD, NO_GEAR, FORWARD).
+        Position and spent impulse are the stay's at `now_ns`, `direction` the gear that is asked for (BACKWARD, NO_GEAR, FORWARD).
         Raises ValueError when time runs backwards.
         """
         if now_ns < self._now_ns:

@@ -27,11 +27,8 @@ def named_generator(seed: int, *names: object) -> np.random.Generator:
 class InductiveSensor:
     """Coil with a movable core: the time its voltage takes to reach 8 V depends on the position.
 
-    t8V(x, T) = (t_mid + slope x) (1 + temp_coeff (T - T_ref)), x in m from neutral.
-
-    Parameters: t_mid_s [s], slope_s_m [s/m], temp_coeff_1_k [1/K], t_ref_k [K], tick_s [s].
-    Raises InputError for a time, slope or tick that cannot be.
-    Source: thesis 2.2.4; numbers inferred.
+    t8V(x, T) = (t_mid + slope x) (1 + temp_coeff (T - T_ref)), x in m from neutral; times and tick in s.
+    Raises InputError for a time, slope or tick that cannot be. Source: thesis 2.2.4; numbers inferred.
     """
 
     t_mid_s: float
@@ -91,12 +88,10 @@ class InductiveSensor:
 
 
 def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats:
-    """Second-order sections [n, 5] (b0 b1 b2 a1 a2) of a digital Butterworth low-pass filter.
+    """Second-order sections [n, 5] (b0 b1 b2 a1 a2) of a digital Butterworth low-pass filter, of unit gain at rest.
 
-    Poles of H(s) = prod 1/(s - p_k), p_k = exp(j pi (2k + n + 1)/(2n)), through the bilinear
-    transform with the cut-off prewarped; every section has unit gain at rest. An odd order's last
-    section is of first order.
-    Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
+    H(s) = prod 1/(s - p_k), p_k = exp(j pi (2k + n + 1)/(2n)), by the bilinear transform, prewarped; an odd order ends with one
+    of first order. Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
     """
     if not 1 <= order <= 12:
         raise InputError(f"position_sensor.butter_order: {order}; expected 1 to 12, or 0 for none")
@@ -139,13 +134,10 @@ def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
 class InternalChain:
     """The position as the control unit reports it: pulse, timer, conversion, filter, hold.
 
-    A pulse starts at every tick, measures the position at tick + t_mid/2, is counted in timer ticks,
-    converted back with `calibration` and the measured temperature, filtered once per period, and
-    holds from tick + latency + t8V until the next one.
-
-    Parameters: period_s, latency_s [s]; filter_order 0 means no filter; cutoff_hz [Hz];
-    coil_temperature_k is the coil's own, measured_temperature_k [K] the one compensated for.
-    Source: thesis 2.2.4; numbers inferred. Matches `position_internal_m` of recorded strokes.
+    A pulse starts at every tick, measures the position at tick + t_mid/2, is counted in timer ticks, converted back with
+    `calibration` and the measured temperature, filtered once per period, and holds from tick + latency + t8V until the next one.
+    period_s, latency_s [s]; filter_order 0: none; cutoff_hz [Hz]; coil_temperature_k: its own, measured_temperature_k: the one
+    compensated for [K]. Source: thesis 2.2.4; numbers inferred. Matches `position_internal_m` of recorded strokes.
     """
 
     sensor: InductiveSensor

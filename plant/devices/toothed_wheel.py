@@ -14,8 +14,7 @@ from plant.devices.valve import NS_PER_S
 class ToothedWheel:
     """A shaft speed as a toothed wheel and a timer measure it.
 
-    Speed = whole teeth since the last report / time between their edges, in whole ticks; without
-    a new tooth the last value stays.
+    Whole teeth since the last report / time between their edges, in whole ticks; without a new tooth the last value stays.
     Assumes: even teeth, and a speed that is constant between two reports.
     """
 

@@ -73,16 +73,11 @@ class CoilConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class ValveTiming:
     """Thresholds and delays of a solenoid valve.
 
-    The coil counts as energised at `duty_open` and above, as not energised at `duty_closed` and
-    below; between the two its state does not change. The plunger follows `rise_ns` after the coil is
-    energised and `fall_delay_ns` after it is not.
-
-    Parameters: duties 0..1, delays in ns; `fall_base_s` and `fall_tau_s` in s, used only when
-    `closing_follows_duty`: then the coil current, by that of a duty of 1, follows the duty with the
-    time constant `fall_tau_s`, and a valve closes the sooner the less of it there is.
-    Raises InputError naming the parameter that is out of range.
-    Source: thesis 3.1.3 (8 ms, 35 ms, 33 %, 35 %); the closing that follows the duty is inferred from
-    its remark on the freewheel diode.
+    The coil is energised from `duty_open` on, not up to `duty_closed`; between the two its state stays. The plunger follows
+    `rise_ns` after the coil is energised and `fall_delay_ns` after it is not. With `closing_follows_duty` the coil current, by
+    that of a duty of 1, follows the duty with the time constant `fall_tau_s`; the less there is, the sooner a valve closes.
+    Raises InputError naming the parameter that is out of range. Source: thesis 3.1.3 (8 ms, 35 ms, 33 %, 35 %); the closing that
+    follows the duty is inferred from its remark on the freewheel diode.
     """
 
     rise_ns: int
@@ -250,11 +245,9 @@ def switch_schedule(
     charged: Sequence[int] = (),
     charged_duty: float = 0.98,
 ) -> list[tuple[int, int, float]]:
-    """Return the switches (ns, chamber, u) that a list of commands (s, chamber, duty) leads to.
+    """Return the switches (ns, chamber, u), ascending, of a list of commands (s, chamber, duty) to `valves` chambers.
 
-    Chambers are numbered from 0 to `valves` - 1; those in `charged` start open under
-    `charged_duty`. The result is ordered by instant, then chamber.
-    Raises ValueError for a chamber that does not exist.
+    Those in `charged` start open under `charged_duty`. Raises ValueError for a chamber that does not exist.
     """
     bank = [
         Valve(timing, is_open=i in charged, duty=charged_duty if i in charged else 0.0)

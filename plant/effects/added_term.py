@@ -191,9 +191,7 @@ ALL_TERMS: list[AddedTerm] = []
 def added_term(slot: Slot) -> Callable[[Callable[..., float]], AddedTerm]:
     """Make the function below a term of a slot of the equations.
 
-    Its arguments are, by name, what `ARGUMENTS` lists for the slot, as far as it needs them, and
-    values that the effect sets.
-
+    Its arguments are, by name, those of `ARGUMENTS` that it needs, and values that the effect sets.
     Raises InputError for a slot that has one value a stroke: an effect changes that in its setup.
     """
     if slot not in ARGUMENTS:

@@ -41,10 +41,10 @@ NORMAL = NormalDist()
 
 
 def shift(setup: Setup, name: str, amount: float) -> None:
-    """Change one quantity of a setup: times exp(amount), by seconds for "rise" and "fall", by itself for "wall_density".
+    """Change one quantity of a setup: times exp(amount), "rise" and "fall" by seconds, "wall_density" by itself.
 
-    Relative amounts add up in logarithms, as those of effects that scale the same do. What is `LIMITED`
-    moves by standard deviations of a normal distribution that the limits map to its tails.
+    Relative amounts add up in logarithms. What is `LIMITED` moves by standard deviations of a normal distribution that the limits
+    map to its tails.
     """
     if name == "rise":
         shift_rise(setup, amount)

@@ -44,11 +44,9 @@ _LOADED: dict[str, tuple[str, tuple[str, ...]]] = {}
 def load_effects(where: str) -> str:
     """Add the effects of a file to the catalogue; return PATH@sha256:HASH, which loads exactly it.
 
-    where: a path, or what an earlier call returned.
-
-    Raises InputError naming file, line, what is wrong and what was expected: no such file, not
-    Python, an effect that is not complete or consistent, one whose id exists already, a term that
-    numba cannot compile or that is not finite, and another content than that of the hash.
+    where: a path, or what an earlier call returned. Raises InputError naming file, line, what is wrong and what was expected: no such
+    file, not Python, an effect incomplete, inconsistent or with an id that exists, a term that numba cannot compile or that is
+    not finite, another content than that of the hash.
     """
     name, _, expected = where.partition(MARK)
     path = resolved(name)

@@ -198,20 +198,6 @@ def note_corners(distance, speed, m, p):
 
 
 @inlined
-def guard_stay(y, m, p, g, low):
-    """Guards of the stay in motion: turning, and reaching its stop; returns the lowest so far."""
-    d = m.stay
-    if d != 0:
-        low = put(g, Guard.TURN, d * y.v_s + EPS_M_S, low)
-        highest, lowest = stay_limits(y, m, p)
-        if d > 0:
-            low = put(g, Guard.STOP_HIGH, highest - y.x_s + EPS_M, low)
-        else:
-            low = put(g, Guard.STOP_LOW, y.x_s - lowest + EPS_M, low)
-    return low
-
-
-@inlined
 def guard_piston(y, m, p, k, g, low):
     """Guards of piston k: turning, its outer stop, the contact it is nearer to; returns the lowest."""
     d = m[STATUS + k]
@@ -240,17 +226,6 @@ def guard_contact(y, m, p, k, need, force, g, low):
     return low
 
 
-@inlined
-def guard_damper(y, m, p, g, low):
-    """Guards of the oil damper: its side, its law's corners, its oil; returns the lowest so far."""
-    d = m.stay
-    side = float(m.side)
-    if d * side < 0:
-        # crossing neutral: the damper acts on the other side from there
-        low = put(g, Guard.DAMPER_SIDE, side * y.x_s + EPS_M, low)
-    return damper_guards(side * y.x_s, side * y.v_s, y.p_oil, m, p, g, low)
-
-
 @called
 def guards(t, y, m, p, g):
     """Guards of the present modes -> g[0:GUARDS], positive until the event, rounding apart. Returns the lowest."""
@@ -258,7 +233,14 @@ def guards(t, y, m, p, g):
     for k in range(GUARDS):
         g[k] = low
     force = net_forces(y, m, p, t)
-    low = guard_stay(y, m, p, g, low)
+    d = m.stay
+    if d != 0:
+        low = put(g, Guard.TURN, d * y.v_s + EPS_M_S, low)
+        highest, lowest = stay_limits(y, m, p)
+        if d > 0:
+            low = put(g, Guard.STOP_HIGH, highest - y.x_s + EPS_M, low)
+        else:
+            low = put(g, Guard.STOP_LOW, y.x_s - lowest + EPS_M, low)
     low = guard_piston(y, m, p, 0, g, low)
     low = guard_piston(y, m, p, 1, g, low)
     if m.stay != 0 and (m.joined_1 != FREE or m.joined_2 != FREE):
@@ -273,5 +255,8 @@ def guards(t, y, m, p, g):
     if m.blocked != 0:
         low = put(g, Guard.UNBLOCK, p.sync_impulse - y.impulse, low)
     if m.damper != 0:
-        low = guard_damper(y, m, p, g, low)
+        side = float(m.side)
+        if d * side < 0:  # crossing neutral: the damper acts on the other side from there
+            low = put(g, Guard.DAMPER_SIDE, side * y.x_s + EPS_M, low)
+        low = damper_guards(side * y.x_s, side * y.v_s, y.p_oil, m, p, g, low)
     return low

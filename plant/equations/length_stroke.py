@@ -130,13 +130,6 @@ def pushing(y, m, k, force, p):
 
 
 @inlined
-def blocked_force(y, m, p, force):
-    """Driving force of stay and pistons resting on it against the synchronizer, outward, without friction [N]."""
-    total = force[0] + pushing(y, m, 0, force[1], p) + pushing(y, m, 1, force[2], p)
-    return total * m.blocked
-
-
-@inlined
 def length_volumes(y, p):
     """Volumes of chambers B, N and F [m^3]."""
     area = p.area_p
@@ -145,19 +138,6 @@ def length_volumes(y, p):
         p.vol_b + area * y.x_1 + area_s * y.x_s,
         p.vol_n - area * (y.x_1 + y.x_2),
         p.vol_f + area * y.x_2 - area_s * y.x_s,
-    )
-
-
-@inlined
-def length_leaks(t, y, u_b, u_n, u_f, p):
-    """Flows into chambers B, N and F that pass no valve [K kg/s]."""
-    one = piston_leak(y.p_b, y.p_n, p.t_gas, p)
-    two = piston_leak(y.p_f, y.p_n, p.t_gas, p)
-    x = y.x_s
-    return (
-        all_leaks(0.0 - one, t, x, y.p_b, p.t_gas, u_b, Slot.FLOW_1, p),
-        all_leaks(one + two, t, x, y.p_n, p.t_gas, u_n, Slot.FLOW_2, p),
-        all_leaks(0.0 - two, t, x, y.p_f, p.t_gas, u_f, Slot.FLOW_3, p),
     )
 
 
@@ -177,7 +157,11 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
     u_n = u0[1] + du[1] * t
     u_f = u0[2] + du[2] * t
     supply = y.p_line if m.line != 0 else p.p_supply
-    leak_b, leak_n, leak_f = length_leaks(t, y, u_b, u_n, u_f, p)
+    past_1 = piston_leak(y.p_b, y.p_n, p.t_gas, p)
+    past_2 = piston_leak(y.p_f, y.p_n, p.t_gas, p)
+    leak_b = all_leaks(0.0 - past_1, t, y.x_s, y.p_b, p.t_gas, u_b, Slot.FLOW_1, p)
+    leak_n = all_leaks(past_1 + past_2, t, y.x_s, y.p_n, p.t_gas, u_n, Slot.FLOW_2, p)
+    leak_f = all_leaks(0.0 - past_2, t, y.x_s, y.p_f, p.t_gas, u_f, Slot.FLOW_3, p)
     alphas = exponents(max(abs(v_s), abs(v_1), abs(v_2)), p)
     in_b = chamber(y.p_b, p.t_gas, u_b, leak_b, vol_b, rate_b, supply, alphas, p, c)
     in_n = chamber(y.p_n, p.t_gas, u_n, leak_n, vol_n, rate_n, supply, alphas, p, c)
@@ -191,7 +175,10 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
     dy.p_b = in_b[0]
     dy.p_n = in_n[0]
     dy.p_f = in_f[0]
-    dy.impulse = max(0.0, blocked_force(y, m, p, force)) if m.blocked != 0 else 0.0
+    dy.impulse = 0.0
+    if m.blocked != 0:  # friction is left out: at rest its share is not determined
+        push = force[0] + pushing(y, m, 0, force[1], p) + pushing(y, m, 1, force[2], p)
+        dy.impulse = max(0.0, push * m.blocked)
     side = float(m.side)
     dy.p_oil = 0.0
     if m.damper == COMPRESSIBLE and m.oil_rest == 0:

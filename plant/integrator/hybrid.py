@@ -49,8 +49,7 @@ REASONS = {
 class Event:
     """Something that happened at an instant inside the motion.
 
-    name: "stop" (stay against an end stop, or neutral), "block", "unblock", "breakaway", contacts
-    and turns; speed_m_s: the stay's speed into the stop; energy_j: kinetic energy turned to heat.
+    name: "stop" (stay against an end, or neutral), "block", "unblock", "breakaway", contacts and turns; energy_j: turned to heat.
     """
 
     time_s: float
@@ -167,19 +166,11 @@ class HybridSystem:
         switches: Sequence[tuple[int, int, float] | tuple[int, int, float, float]] = (),
         sample_ns: NDArray[np.int64] | None = None,
     ) -> Floats:
-        """Integrate to `until_ns`; returns the states at `sample_ns`, one row each.
+        """Integrate to `until_ns`; returns the states [n, states] in SI units at `sample_ns` [n], ascending.
 
-        Parameters
-        ----------
-        until_ns : simulated time to reach, not before `now_ns`
-        switches : (instant ns, chamber index, position 0 to 1, slope 1/s if it moves on),
-            ascending, within [now, until]; one at `until` acts from there on
-        sample_ns : instants within [now, until], ascending
-
-        Raises
-        ------
-        IntegrationError : the motion cannot be continued (not finite, endless events)
-        ValueError : instants out of order or out of the interval
+        switches: (instant ns, chamber index, position 0 to 1, slope 1/s if it moves on), ascending; one at `until` acts from there on.
+        Raises IntegrationError if the motion cannot be continued (not finite, endless events), ValueError for instants out of
+        order or outside [now, until].
         """
         if until_ns < self.now_ns:
             raise ValueError(f"cannot advance back from {self.now_ns} ns to {until_ns} ns")

@@ -207,17 +207,10 @@ def next_event(r, k, o, task, leaping):
 def advance(run, control, p, c, switches, samples, out, events, curves, grid):
     """Integrate from time 0 to run.end [s]; returns DONE or the reason to stop.
 
-    Parameters
-    ----------
-    run, control : float64 [Run.size], int64 [Control.size], updated in place
-    p, c : float64 [Parameters.size], [FlowMap.size], parameters and flow map
-    switches : float64 [k, 4], rows (time s, chamber, position, slope 1/s), times ascending
-    samples : float64 [s], instants at which the state is wanted, ascending
-    out : float64 [s, n], states at the samples
-    events : float64 [e, EventRow.size], filled in order
-    curves : filling curves of c [TABLE], to pass rests in closed form (without quadratures only);
-        shorter if there are none
-    grid : float64 [steps, GridRow.size], to write or to follow (control.use)
+    run, control: float64 [Run.size], int64 [Control.size], updated in place; p, c: [Parameters.size], [FlowMap.size];
+    switches: [k, 4], rows (time s, chamber, position, slope 1/s), ascending; samples: [s], instants at which the state is wanted
+    -> out [s, n]; events: [e, EventRow.size], filled in order; curves: filling curves of c [TABLE], to pass rests in closed
+    form (without quadratures only), shorter if there are none; grid: [steps, GridRow.size], to write or to follow (control.use).
     """
     r = run_of(run)
     k = control_of(control)

@@ -213,11 +213,10 @@ def expects_event(task, number):
 
 @inlined
 def first_event(r, theta, fired, y1, spare, o, task, n):
-    """Find the first event within a step: its fraction of the step, and its guard or -1.
+    """Find the first event within a step: its fraction of the step, and its guard or -1; y1: the state there.
 
-    theta: fraction at which a body may have turned or met another one, 1 if none; fired: a guard of
-    scratch.guards is negative at the step's end.  y1: the state at the event.  Guard -2: the grid's
-    stroke had passed no guard where this one has.
+    theta: fraction at which a body may have turned or met another one, 1 if none; fired: a guard of scratch.guards is negative
+    at the end. Guard -2: the grid's stroke had passed no guard where this one has.
     """
     t = r.time
     if theta < 1.0:

@@ -58,17 +58,12 @@ def flow_coefficients(parameters: ParameterSet) -> Floats:
     c = FlowMap.zeros()
     c.y_min = parameters.value("flow_charge.y_min")
     c.y_split = parameters.value("flow_charge.y_split")
-    high = parameters.values("flow_charge.c_high")
-    low = parameters.values("flow_charge.c_low")
-    c.charge_high[: len(high)] = high
-    c.charge_low[: len(low)] = low
-    c.charge_slope = sum(k * low[k] for k in range(1, len(low)))
     c.z_split = parameters.value("flow_discharge.z_split")
-    low = parameters.values("flow_discharge.c_low")
-    high = parameters.values("flow_discharge.c_high")
-    c.discharge_low[: len(low)] = low
-    c.discharge_high[: len(high)] = high
-    c.discharge_slope = sum(k * low[k] for k in range(1, len(low)))
+    for flow in ("charge", "discharge"):
+        low, high = (parameters.values(f"flow_{flow}.c_{part}") for part in ("low", "high"))
+        getattr(c, f"{flow}_low")[: len(low)] = low
+        getattr(c, f"{flow}_high")[: len(high)] = high
+        setattr(c, f"{flow}_slope", sum(k * low[k] for k in range(1, len(low))))
     return c.array
 
 

@@ -90,12 +90,6 @@ def exponents(speed, p):
 
 
 @inlined
-def pressure_rate(pressure, gas, alpha, volume, volume_rate):
-    """Return dP/dt = (gas - alpha P dV/dt) / V   [Pa/s]; gas: R times the sum of flows [W]."""
-    return (gas - alpha * pressure * volume_rate) / volume
-
-
-@inlined
 def openings(u, p):
     """Return the open shares of inlet and outlet: u and 1 - u; from a closed centre 2 u - 1 or 1 - 2 u."""
     opened = u
@@ -119,7 +113,7 @@ def chamber(pressure, kelvin, u, leak, volume, volume_rate, supply, alphas, p, c
     flow_out = valve_flow_out(pressure, kelvin, p, c) if vented > 0.0 else 0.0
     gas = p.r_air * (am1 * opened * flow_in - am2 * vented * flow_out + leak)
     alpha = u * a1 + (1.0 - u) * a2
-    rate = pressure_rate(pressure, gas, alpha, volume, volume_rate)
+    rate = (gas - alpha * pressure * volume_rate) / volume
     return rate, flow_in, flow_out, gas, alpha
 
 

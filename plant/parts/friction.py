@@ -25,12 +25,6 @@ def sliding(speed_m_s, static_n, run_n, beta, stribeck_m_s):
 
 
 @inlined
-def breakaway(static_n, run_n):
-    """Return the static friction in effect: never below the kinetic friction at 0+ [N] (erratum 3.24)."""
-    return max(static_n, run_n)
-
-
-@inlined
 def direction_factor(direction, p):
     """Return the friction's asymmetry: 1 + a towards +, 1 - a towards -."""
     return 1.0 + p.asymmetry * direction
@@ -62,8 +56,8 @@ def stay_sliding(x, v, direction, p):
 
 @inlined
 def stay_static(x, direction, p):
-    """Return the breakaway friction of the stay towards a direction [N]."""
-    level = breakaway(p.f_static_s, p.f_run_s) * direction_factor(direction, p)
+    """Return the breakaway friction of the stay towards a direction [N]: no less than kinetic (erratum 3.24)."""
+    level = max(p.f_static_s, p.f_run_s) * direction_factor(direction, p)
     level += extra_drag(x, direction, p)
     if unlikely(p.adder != 0.0):
         level = not_negative(level + added(Slot.RESISTANCE, 0.0, x, 0.0, direction, 0.0, p))
@@ -85,6 +79,6 @@ def piston_sliding(v, direction, difference_pa, p):
 
 @inlined
 def piston_static(direction, difference_pa, p):
-    """Return the breakaway friction of one piston [N]."""
-    level = breakaway(p.f_static_p, p.f_run_p) * direction_factor(direction, p)
+    """Return the breakaway friction of one piston [N]: no less than kinetic (erratum 3.24)."""
+    level = max(p.f_static_p, p.f_run_p) * direction_factor(direction, p)
     return level + seal_drag(difference_pa, p)

@@ -20,36 +20,16 @@ from plant.parameters import ParameterSet
 class LengthStroke(HybridSystem):
     """The length stroke in motion, advanced in simulated nanoseconds.
 
-    Parameters
-    ----------
-    parameters : the parameter set
-    initial : gear at time 0, "N", "B" or "F"
-    supply_pressure_pa : absolute; None takes the set's
-    charged : chambers at the supply pressure with open valves
-    load : on the stay
-    tolerance : of the integrator, relative to each state's scale
-
-    Raises
-    ------
-    InputError : a value outside its range
-
-    Checked by: tests/physics/test_length_stroke.py
+    initial: gear at time 0, "N", "B" or "F"; supply_pressure_pa: absolute, None takes the set's; charged: chambers at the supply
+    pressure with open valves; tolerance: of the integrator, relative to each state's scale. Raises InputError for a value
+    outside its range. Checked by: tests/physics/test_length_stroke.py
     """
 
     chambers = ("B", "N", "F")
     columns = (
-        "position_m",
-        "velocity_m_s",
-        "piston_1_m",
-        "piston_1_velocity_m_s",
-        "piston_2_m",
-        "piston_2_velocity_m_s",
-        "pressure_B_pa",
-        "pressure_N_pa",
-        "pressure_F_pa",
-        "spent_impulse_n_s",
-        "pressure_oil2_pa",
-        "line_pressure_pa",
+        *("position_m", "velocity_m_s", "piston_1_m", "piston_1_velocity_m_s"),
+        *("piston_2_m", "piston_2_velocity_m_s", "pressure_B_pa", "pressure_N_pa"),
+        *("pressure_F_pa", "spent_impulse_n_s", "pressure_oil2_pa", "line_pressure_pa"),
     )
 
     def __init__(

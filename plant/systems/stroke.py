@@ -28,11 +28,9 @@ __all__ = ["KINDS", "Stroke", "StrokeConditions", "run_setup", "simulate"]
 
 @dataclass(frozen=True)
 class Stroke:
-    """A simulated stroke: states at the sampled instants, events, balances.
+    """A simulated stroke: states, one row an instant, in the order of plant.kernel.layout; events, balances.
 
-    states has one row an instant, in the order of plant.kernel.layout (FX.. or XS..); valves is the
-    commanded duty of each chamber; internal_m the position as the control unit reports it;
-    packed the parameter array that ran.
+    duty: commanded, of each chamber; internal_m: position as the control unit reports it; packed: the parameters that ran.
     """
 
     conditions: StrokeConditions
@@ -192,17 +190,10 @@ def simulate(
     tolerance: float = DEFAULT_TOLERANCE,
     internal: bool = True,
 ) -> Stroke:
-    """Simulate one stroke and sample it at `time_s` (ascending, from 0).
+    """Simulate one stroke and sample it at `time_s` [n] in s, ascending from 0.
 
-    time_s: [n] in s.  Returns the noise-free states, the position as the control unit would report it, the located
-    events and the balances.
-
-    Raises
-    ------
-    InputError : conditions outside what the model covers
-    plant.integrator.hybrid.IntegrationError : the motion cannot be continued
-
-    Checked by: tests/physics/test_stroke.py
+    Returns the noise-free states, the position as the control unit would report it, the located events and the balances.
+    Raises InputError for conditions outside what the model covers, IntegrationError if the motion cannot be continued.
     """
     return run_setup(make_setup(parameters, conditions), time_s, tolerance, internal)
 

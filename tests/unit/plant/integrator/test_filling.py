@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plant.integrator import filling_curves
+from plant.integrator import filling
 from plant.integrator.filling import (
     CELLS_FAR,
     CURVE,
@@ -101,7 +101,7 @@ def test_beyond_the_table(flow, table):
     below = values(table, CHARGE, np.array([-0.01]))[0]
     assert below == pytest.approx(start - 0.01 * slope, abs=1e-15)
     border = Curve(table).step_far * CELLS_FAR
-    end = border + filling_curves.NEAR_REACH
+    end = border + filling.NEAR_REACH
     left, right = values(table, CHARGE, np.array([end + 1.0, end + 2.0])) - 1.0
     assert left < 0.0
     assert right == pytest.approx(left * np.exp(-1.0), abs=0.006 * abs(left))
@@ -110,7 +110,7 @@ def test_beyond_the_table(flow, table):
 def test_what_fades_beyond_the_table_is_nothing(table) -> None:
     """exp by its reciprocal's series: 2.3e-3 of what the table leaves, itself under a ten-millionth."""
     x = np.linspace(0.0, 60.0, 6001)
-    faded = np.array([filling_curves.faded.py_func(value) for value in x.tolist()])
+    faded = np.array([filling.faded.py_func(value) for value in x.tolist()])
     assert np.max(np.abs(faded - np.exp(-x))) < 2.5e-3
     assert np.all(np.diff(faded) < 0.0)
     for begin in (CHARGE, DISCHARGE):
