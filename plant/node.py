@@ -26,11 +26,17 @@ from can_dbc.messages import (
 )
 from plant.devices.coil import make_valve
 from plant.devices.conditions import ChamberName, Conditions
-from plant.devices.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
+from plant.devices.driveline import (
+    BACKWARD,
+    FORWARD,
+    NO_GEAR,
+    Driveline,
+    DrivelineConfig,
+    toothed_wheels,
+)
 from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
 from plant.devices.signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
-from plant.devices.toothed_wheel import toothed_wheels
 from plant.devices.valve import NS_PER_S, CoilConfig, ValveTiming, seconds_to_ns
 from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
 from plant.devices.valve_faults import Switch, ValveFault, ValveGroup

@@ -17,7 +17,7 @@ from controller.settings import ControlConfig, Settings
 
 NAMES: Mapping[str, str] = {
     "open_loop": "controller.strategies.open_loop:OpenLoop",
-    "blow_cut": "controller.strategies.blow_cut:BlowCut",
+    "blow_cut": "controller.strategies.open_loop:BlowCut",
     "air_cushion": "controller.strategies.air_cushion:AirCushion",
     "synchro_brake": "controller.strategies.synchro_brake:SynchroBrake",
     "fixed_programme": "controller.strategies.fixed_programme:FixedProgramme",

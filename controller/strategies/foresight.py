@@ -8,8 +8,7 @@ from typing import Annotated, NamedTuple
 
 from msgspec import Struct
 
-from controller.estimator import STEP_S, Observer, ObserverSettings
-from controller.light_model import ModelSettings
+from controller.light_model import STEP_S, ModelSettings, Observer, ObserverSettings
 from controller.settings import ControlConfig, bounded
 from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, PushProgress
 

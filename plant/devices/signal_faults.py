@@ -11,8 +11,8 @@ import msgspec
 from msgspec import Meta
 from numpy.random import Generator
 
+from plant.devices.driveline import ToothedWheel
 from plant.devices.sensors import named_generator
-from plant.devices.toothed_wheel import ToothedWheel
 from plant.devices.valve import seconds_to_ns
 
 Speeds = tuple[float, float]

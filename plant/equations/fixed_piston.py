@@ -2,7 +2,7 @@
 
 V1 = V10 + A1 x, V2 = V20 - A2 x, 0 <= x <= stroke. A user's cylinder has balances of mass and energy in place of the thesis's
 exponents. `fixed_rates`: 3.46 (position), 3.47 (forces, with `fixed_drive`, `fixed_friction`), 3.48, 3.49 (P_1, P_2);
-`plant.parts.chamber.chamber`: 3.50, 3.51 (flows); `plant.parts.friction`: 3.52.
+`plant.parts.chamber.chamber`: 3.50, 3.51 (flows); `plant.parts.forces`: 3.52.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from plant.parts.chamber import (
     temperature,
 )
 from plant.parts.damper import oil_rate
-from plant.parts.friction import seal_drag, stay_sliding, stay_static
-from plant.parts.loads import loaded, store_loads
+from plant.parts.forces import loaded, seal_drag, stay_sliding, stay_static, store_loads
 
 FIXED_STATES = STATE_COUNTS[FIXED][2]
 

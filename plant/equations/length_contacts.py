@@ -21,7 +21,7 @@ from plant.equations.length_stroke import (
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, GUARDS, NUT, Guard
 from plant.parts.damper import damper_borders
-from plant.parts.friction import piston_static, stay_static
+from plant.parts.forces import piston_static, stay_static
 
 EPS_M = 1e-13
 EPS_M_S = 1e-11

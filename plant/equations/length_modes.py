@@ -28,7 +28,7 @@ from plant.equations.length_stroke import (
 )
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT
-from plant.parts.friction import piston_sliding, piston_static, stay_sliding, stay_static
+from plant.parts.forces import piston_sliding, piston_static, stay_sliding, stay_static
 
 # Equal velocities of touching bodies, up to rounding.
 SAME_M_S = 1e-10

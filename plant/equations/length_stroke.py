@@ -10,7 +10,7 @@ thesis, piston 1 free   joined      here
 3.55 piston, 3.56 stay  3.63        `net_forces`, `accelerations`
 3.57 P_B, 3.58 P_N      3.64, 3.65  `length_volumes`, `rates`, `plant.parts.chamber.chamber`
 3.59, 3.60 flows        3.66, 3.67  `plant.parts.chamber.chamber`
-3.61 friction           3.68        `plant.parts.friction`; at rest: `length_contacts`
+3.61 friction           3.68        `plant.parts.forces`; at rest: `length_contacts`
 ======================  ==========  =====================================================
 """
 
@@ -30,8 +30,7 @@ from plant.kernel.layout import (
 )
 from plant.parts.chamber import all_leaks, chamber, exponents, line_feed, piston_leak, store_chamber
 from plant.parts.damper import oil_rate
-from plant.parts.friction import piston_sliding, stay_sliding
-from plant.parts.loads import loaded, store_loads
+from plant.parts.forces import loaded, piston_sliding, stay_sliding, store_loads
 
 LENGTH_STATES = LengthState.size
 # Where the pistons' states and modes begin.

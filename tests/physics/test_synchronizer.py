@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from plant.kernel.layout import LENGTH, LengthState, Parameters
-from plant.parts.loads import barrier
+from plant.parts.forces import barrier
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, Bare
 from tests.physics.strokes import length_stroke

@@ -15,8 +15,7 @@ import pytest
 from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from controller.config import FirmwareConfig
-from controller.estimator import ObserverSettings
-from controller.light_model import ModelSettings
+from controller.light_model import ModelSettings, ObserverSettings
 from controller.settings import (
     BlowConfig,
     BroadcastConfig,

@@ -6,7 +6,7 @@ import pytest
 
 from can_dbc.messages import Chamber
 from controller.config import FirmwareConfig
-from controller.interlock import Interlock
+from controller.firmware import Interlock
 from controller.strategies import OFF, Duties
 
 MS = 1_000_000

@@ -7,9 +7,16 @@ import math
 import pytest
 
 from controller.config import FirmwareConfig
-from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.filters import SectionFilter, butterworth
-from controller.light_model import LightModel, LightModelState, ModelSettings, Valve
+from controller.light_model import (
+    STEP_S,
+    LightModel,
+    LightModelState,
+    ModelSettings,
+    Observer,
+    ObserverSettings,
+    Valve,
+)
 from controller.settings import FilterConfig
 
 STROKE_M = 0.01285

@@ -13,8 +13,7 @@ from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from controller import strategies
 from controller.config import FirmwareConfig, create_strategy
-from controller.estimator import STEP_S, Observer, ObserverSettings
-from controller.light_model import LightModel, ModelSettings
+from controller.light_model import STEP_S, LightModel, ModelSettings, Observer, ObserverSettings
 from controller.position import Estimate, Sample
 from controller.settings import FilterConfig, SensorConfig
 from controller.strategies import ShiftContext, Strategy
