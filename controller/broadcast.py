@@ -14,20 +14,12 @@ class Broadcast:
         self._machine = machine
         self._etc2_period_ns = nanoseconds(config.etc2_period_s)
         self._etc1_due_ns = self._etc2_due_ns = 0
-        self._numbers = {
-            Gear.NEUTRAL: 0,
-            Gear.FORWARD: config.gear_forward,
-            Gear.BACKWARD: config.gear_backward,
-            Gear.UNKNOWN: None,
-        }
+        # an unknown gear has none of these
+        self._numbers = {Gear.FORWARD: config.gear_forward, Gear.BACKWARD: config.gear_backward}
+        self._numbers[Gear.NEUTRAL] = 0
         self._ratios = {Gear.FORWARD: config.ratio_forward, Gear.BACKWARD: config.ratio_backward}
         # the two characters of a range name the stroke, not the truck's direction
-        self._ranges = {
-            Gear.NEUTRAL: " N",
-            Gear.FORWARD: " F",
-            Gear.BACKWARD: " B",
-            Gear.UNKNOWN: None,
-        }
+        self._ranges = {Gear.NEUTRAL: " N", Gear.FORWARD: " F", Gear.BACKWARD: " B"}
 
     def start(self, now_ns: int) -> None:
         """Make the first ones due now."""
@@ -60,11 +52,11 @@ class Broadcast:
         current = machine.confirmed
         selected = machine.final if machine.in_process else current
         return Etc2(
-            selected_gear=self._numbers[selected],
+            selected_gear=self._numbers.get(selected),
             gear_ratio=self._ratios.get(current, 0.0) or None,
-            current_gear=self._numbers[current],
-            requested_range=self._ranges[selected],
-            current_range=self._ranges[current],
+            current_gear=self._numbers.get(current),
+            requested_range=self._ranges.get(selected),
+            current_range=self._ranges.get(current),
         )
 
 

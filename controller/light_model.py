@@ -120,18 +120,13 @@ class LightModel:
         """Return the flow into a chamber times its exponent, kg K/s; negative when it vents."""
         settings = self.settings
         if is_open:
-            upstream_pa, downstream_pa, critical = (
-                settings.supply_pa,
-                pressure_pa,
-                settings.flow_in_critical,
-            )
+            upstream_pa, downstream_pa = settings.supply_pa, pressure_pa
+            critical = settings.flow_in_critical
             size = settings.filling_alpha_flow * settings.flow_in
         else:
             upstream_pa, downstream_pa = pressure_pa, settings.atmosphere_pa
-            critical, size = (
-                settings.flow_out_critical,
-                -settings.venting_alpha_flow * settings.flow_out,
-            )
+            critical = settings.flow_out_critical
+            size = -settings.venting_alpha_flow * settings.flow_out
         ratio = downstream_pa / upstream_pa
         if ratio >= 1.0:
             return 0.0

@@ -103,23 +103,13 @@ class ShiftMachine:
     """
 
     def __init__(self, config: ControlConfig, blow_s: BlowLength) -> None:
-        shift = config.shift
+        self._shift = shift = config.shift
         self._blow = config.blow
         self._blow_s = blow_s
         self._samples = config.windows.samples
         sensor_ns = nanoseconds(config.sensor.period_s)
         settle = -(-nanoseconds(shift.init_settle_s) // sensor_ns)  # rounded up
         self._init_samples = max(self._samples, settle)
-        self._init_timeout_ns = nanoseconds(shift.init_timeout_s)
-        self._push_timeout_ns = nanoseconds(shift.push_timeout_s)
-        self._retries = shift.retries
-        self._retry_pause_ns = nanoseconds(shift.retry_pause_s)
-        self._no_motion_ns = nanoseconds(shift.no_motion_s)
-        self._settle_ns = nanoseconds(shift.reversal_settle_s)
-        self._hold_ns = nanoseconds(shift.hold_s)
-        self._vent_ns = nanoseconds(shift.vent_s)
-        self._wait_for_sync = shift.wait_for_sync
-        self._sync_wait_ns = nanoseconds(shift.sync_wait_s)
 
         self.state = ShiftState.INIT
         self.event: Event | None = None  # of the latest step
@@ -206,7 +196,7 @@ class ShiftMachine:
         if observed.gear != Gear.UNKNOWN and observed.run >= self._init_samples:
             self.confirmed = observed.gear
             self._change(Event.GEAR_FOUND)
-        elif now_ns - self._init_ns >= self._init_timeout_ns:
+        elif now_ns - self._init_ns >= nanoseconds(self._shift.init_timeout_s):
             self._change(Event.INIT_TIMEOUT)
 
     def _recover(self, observed: Observation) -> None:
@@ -241,7 +231,7 @@ class ShiftMachine:
     def _start_leg(self, now_ns: int, observed: Observation, leg: Gear) -> None:
         self.leg = leg
         self.attempt = 0
-        self._until_ns = now_ns + self._sync_wait_ns
+        self._until_ns = now_ns + nanoseconds(self._shift.sync_wait_s)
         if self._held_back(now_ns, observed):
             self._pending = True
             self._change(Event.LEG_WAITS)
@@ -253,14 +243,15 @@ class ShiftMachine:
         if self.leg == Gear.NEUTRAL:
             return False
         clear = observed.clear_b if self.leg == Gear.BACKWARD else observed.clear_f
-        waits = self._wait_for_sync and observed.synchronized is False and now_ns < self._until_ns
-        return waits or not clear
+        waits = self._shift.wait_for_sync and observed.synchronized is False
+        return (waits and now_ns < self._until_ns) or not clear
 
     def _push_now(self, now_ns: int, observed: Observation) -> None:
         self.confirmed = Gear.UNKNOWN  # from here on the sensor reports the position late or never
         self._pending = False
         self._leg_ns = self.attempt_ns = now_ns
-        self._earliest_ns = now_ns + self._settle_ns if observed.gear == self.leg else now_ns
+        settle_s = self._shift.reversal_settle_s if observed.gear == self.leg else 0.0
+        self._earliest_ns = now_ns + nanoseconds(settle_s)
         self._change(Event.LEG_STARTED)
 
     def _follow_request(self, now_ns: int, observed: Observation) -> bool:
@@ -280,15 +271,17 @@ class ShiftMachine:
         if there and observed.run >= self._samples and now_ns >= self._earliest_ns:
             self.confirmed = self.leg
             self._begin_blow(now_ns, observed)
-        elif not (there or observed.moved) and now_ns - self._leg_ns >= self._no_motion_ns:
+        elif not (there or observed.moved) and now_ns - self._leg_ns >= nanoseconds(
+            self._shift.no_motion_s
+        ):
             self.fail(Fault.SENSOR_STUCK)
-        elif now_ns - self.attempt_ns < self._push_timeout_ns:
+        elif now_ns - self.attempt_ns < nanoseconds(self._shift.push_timeout_s):
             if there is not (self.state is S.CONFIRM):
                 self._change(Event.WINDOW_ENTERED if there else Event.WINDOW_LEFT)
-        elif self.attempt < self._retries:
+        elif self.attempt < self._shift.retries:
             self.attempt += 1
             self._pending = True
-            self._until_ns = now_ns + self._retry_pause_ns
+            self._until_ns = now_ns + nanoseconds(self._shift.retry_pause_s)
             self._change(Event.RETRY)
         else:
             self.fail(Fault.SHIFT_TIMEOUT)
@@ -312,7 +305,7 @@ class ShiftMachine:
             self._start_leg(now_ns, observed, self.final)
         else:
             self._served = self.final
-            self._until_ns = now_ns + self._hold_ns
+            self._until_ns = now_ns + nanoseconds(self._shift.hold_s)
             self._change(Event.SHIFT_DONE)
 
     def _blowing(self, now_ns: int, observed: Observation) -> None:
@@ -336,7 +329,7 @@ class ShiftMachine:
             self._enter_vent(now_ns, Event.HOLD_OVER)
 
     def _enter_vent(self, now_ns: int, event: Event) -> None:
-        self._until_ns = now_ns + self._vent_ns
+        self._until_ns = now_ns + nanoseconds(self._shift.vent_s)
         self._change(event)
 
     def _wait_in_neutral(self, now_ns: int, observed: Observation) -> None:

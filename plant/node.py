@@ -319,19 +319,11 @@ class PlantNode:
             (instant / NS_PER_S, f"coil_{CHAMBERS[chamber]}_{'on' if on else 'off'}", {})
             for instant, chamber, on in coils
         ]
-        reports += [
-            (
-                event.time_s,
-                EVENT_NAMES.get(event.name, event.name.replace(" ", "_")),
-                {
-                    "position_m": event.position_m,
-                    "speed_m_s": event.speed_m_s,
-                    "energy_j": event.energy_j,
-                    "peak_force_n": math.sqrt(2.0 * self._contact_n_m * event.energy_j),
-                },
-            )
-            for event in events
-        ]
+        for event in events:
+            values = asdict(event)
+            time_s, name = values.pop("time_s"), values.pop("name")
+            values["peak_force_n"] = math.sqrt(2.0 * self._contact_n_m * event.energy_j)
+            reports.append((time_s, EVENT_NAMES.get(name, name.replace(" ", "_")), values))
         for instant, chamber, u in switches:
             name = f"valve_{CHAMBERS[chamber]}_{'open' if u else 'close'}"
             reports.append((instant / NS_PER_S, name, {}))

@@ -154,11 +154,5 @@ class Setup:
 
     def volume_index(self, chamber: str) -> int:
         """Return the index of a chamber's dead volume in `p`."""
-        index: dict[str, int] = {
-            "1": Parameters.vol_b,
-            "2": Parameters.vol_n,
-            "B": Parameters.vol_b,
-            "N": Parameters.vol_n,
-            "F": Parameters.vol_f,
-        }
-        return index[chamber]
+        name = {"1": "vol_b", "2": "vol_n"}.get(chamber, f"vol_{chamber.lower()}")
+        return Parameters.fields[name].start

@@ -46,10 +46,8 @@ def shift(setup: Setup, name: str, amount: float) -> None:
     Relative amounts add up in logarithms. What is `LIMITED` moves by standard deviations of a normal distribution that the limits
     map to its tails.
     """
-    if name == "rise":
-        shift_rise(setup, amount)
-    elif name == "fall":
-        shift_fall(setup, amount)
+    if name in ("rise", "fall"):
+        shift_delay(setup, name, amount)
     elif name == "wall_density":
         setup.p.wall_density = max(0.0, setup.p.wall_density + amount)
     elif name in LIMITED:
@@ -68,19 +66,16 @@ def shift(setup: Setup, name: str, amount: float) -> None:
             values[index] *= factor
 
 
-def shift_rise(setup: Setup, delay_s: float) -> None:
-    """Change the opening delay, never below zero."""
-    rise = max(0, setup.timing.rise_ns + seconds_to_ns(delay_s))
-    setup.timing = _delayed(setup.timing, rise, setup.timing.fall_ns)
-
-
-def shift_fall(setup: Setup, delay_s: float) -> None:
-    """Change the closing delay, never below zero."""
-    fall = max(0, setup.timing.fall_ns + seconds_to_ns(delay_s))
-    setup.timing = _delayed(setup.timing, setup.timing.rise_ns, fall)
+def shift_delay(setup: Setup, edge: str, delay_s: float) -> None:
+    """Change the delay of opening ("rise") or closing ("fall"), never below zero."""
+    name = f"{edge}_ns"
+    delay_ns = max(0, getattr(setup.timing, name) + seconds_to_ns(delay_s))
+    setup.timing = _delayed(setup.timing, name, delay_ns)
 
 
 @lru_cache(maxsize=1024)
-def _delayed(timing: ValveTiming, rise_ns: int, fall_ns: int) -> ValveTiming:
+def _delayed(timing: ValveTiming, name: str, delay_ns: int) -> ValveTiming:
     # a fit asks for the same delays again with every other quantity it moves
-    return replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)
+    if name == "rise_ns":
+        return replace(timing, rise_ns=delay_ns)
+    return replace(timing, fall_ns=delay_ns)

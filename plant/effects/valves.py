@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.setup import Setup
-from plant.effects.tolerances import shift_fall, shift_rise
+from plant.effects.tolerances import shift_delay
 
 
 @effect(
@@ -21,7 +21,7 @@ from plant.effects.tolerances import shift_fall, shift_rise
 )
 def open_later(setup: Setup, values: dict[str, float]) -> None:
     """Return opening delay longer by a time."""
-    shift_rise(setup, values["delay_s"])
+    shift_delay(setup, "rise", values["delay_s"])
 
 
 @effect(
@@ -41,7 +41,7 @@ def open_later(setup: Setup, values: dict[str, float]) -> None:
 )
 def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     """Return opening delay plus slope (P_s - reference): the plunger opens against the supply."""
-    shift_rise(setup, values["slope_s_pa"] * (setup.p.p_supply - values["reference_pa"]))
+    shift_delay(setup, "rise", values["slope_s_pa"] * (setup.p.p_supply - values["reference_pa"]))
 
 
 @effect(
@@ -57,7 +57,7 @@ def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
 )
 def close_later(setup: Setup, values: dict[str, float]) -> None:
     """Return closing delay longer by a time."""
-    shift_fall(setup, values["delay_s"])
+    shift_delay(setup, "fall", values["delay_s"])
 
 
 @effect(

@@ -180,12 +180,8 @@ class HybridSystem:
             if not last <= instant <= until_ns:
                 raise ValueError(f"switch at {instant} ns is out of order or out of the interval")
             last = instant
-            rows[k] = (
-                (instant - self.now_ns) / NS_PER_S,
-                chamber,
-                position,
-                slope[0] if slope else 0.0,
-            )
+            since_s = (instant - self.now_ns) / NS_PER_S
+            rows[k] = since_s, chamber, position, slope[0] if slope else 0.0
         samples = np.zeros(0) if sample_ns is None else (sample_ns - self.now_ns) / NS_PER_S
         out = np.zeros((samples.shape[0], self._n))
         self._control.events = 0
@@ -215,15 +211,8 @@ class HybridSystem:
             elif speed > 0.0:
                 name = "stop"
             self._impact_j += float(row.lost)
-            self.events.append(
-                Event(
-                    self.now_ns / NS_PER_S + float(row.time),
-                    name,
-                    float(row.x),
-                    speed,
-                    float(row.lost),
-                )
-            )
+            time_s = self.now_ns / NS_PER_S + float(row.time)
+            self.events.append(Event(time_s, name, float(row.x), speed, float(row.lost)))
 
     # --- balances -----------------------------------------------------------------------------
     def _pv(self) -> list[float]:
