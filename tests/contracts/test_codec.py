@@ -24,7 +24,7 @@ from can_dbc.dbc import load_dbc
 from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
 
-TYPES = get_args(m.Message)
+TYPES = tuple(m.SIGNALS)
 SIGNALS = {
     kind: dict(zip(get_type_hints(kind), names, strict=True))
     for kind, names in codec.SIGNALS.items()

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from typing import get_args
 
 import pytest
 from cantools.database.can import Message
@@ -21,7 +20,7 @@ from can_dbc.e2e import PROTECTED, E2eStatus, Protector, Receiver, with_counter
 from can_dbc.errors import CodecError
 from can_dbc.frame import Frame
 
-TYPES = get_args(m.Message)
+TYPES = tuple(m.SIGNALS)
 FEW, MANY = 1_500, 20_000
 
 
