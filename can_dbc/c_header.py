@@ -1,6 +1,7 @@
 """The contract in C: enums, and for each message of the control unit its struct, pack and unpack.
 
-The arithmetic is that of `can_dbc.codec`, operation by operation: without contracted products (-ffp-contract=off) equal bits.
+The arithmetic is that of `can_dbc.codec`, operation by operation: without contracted products (-ffp-contract=off)
+equal bits.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Databases of other people, read through cantools.
 
-cantools declares no exceptions and expands some ranges without end: impossible numbers are refused first, its errors become one line.
+cantools declares no exceptions and expands some ranges without end: impossible numbers are refused first, its errors
+become one line.
 """
 
 from __future__ import annotations
@@ -19,9 +20,8 @@ LARGEST_FILE = 64 << 20
 
 
 def load_dbc(path: str | os.PathLike[str], strict: bool = True) -> Database:
-    """Read a DBC file, in UTF-8 or else in Windows-1252.
+    """Read a DBC file, in UTF-8 or else in Windows-1252; `strict` refuses signals that overlap or leave their message.
 
-    `strict` also refuses overlapping signals and signals that leave their message.
     Raises InputError with file, line (where it is known) and reason for all that is wrong.
     """
     source = os.fspath(path)

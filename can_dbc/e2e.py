@@ -1,10 +1,10 @@
 """End-to-end protection of the safety-relevant messages: AUTOSAR E2E profile 2.
 
-Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the counter, the low nibble of byte 1 the counter.
-No two messages share one of their 16 data ids (opc4.dbc), so that a masqueraded frame never passes; they detect every error
-of one or two bits, also in the counter. The CRC is the autosar-e2e library's; check and state machine of the receiver follow
-AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM), with two additions on the safe side: a timeout in simulated time, and a
-SYNC frame, whose sequence is not confirmed yet, is not accepted.
+Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the counter, the low nibble of byte 1 the
+counter. No two messages share one of their 16 data ids (opc4.dbc), so that a masqueraded frame never passes; they
+detect every error of one or two bits, also in the counter. The CRC is the autosar-e2e library's; check and state
+machine of the receiver follow AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM), with two additions on the safe side:
+a timeout in simulated time, and a SYNC frame, whose sequence is not confirmed yet, is not accepted.
 """
 
 from __future__ import annotations
@@ -165,10 +165,9 @@ class Protector(Generic[M]):
 class Receiver(Generic[M]):
     """The receiving end of one channel: checks each frame and says whether to trust the channel.
 
-    `message` is the message of the latest frame with status OK or OK_SOME_LOST, `message_ns` its
-    arrival; use them only while `state(now_ns)` is VALID: then they are there and not older than the
-    timeout. `counts` counts each status, `reason` says what was wrong with the latest frame of status ERROR.
-    Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
+    `message` is that of the latest frame with status OK or OK_SOME_LOST, `message_ns` its arrival: use them only while
+    `state(now_ns)` is VALID. `counts` counts each status, `reason` says what was wrong with the latest frame of status
+    ERROR. Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
     """
 
     def __init__(

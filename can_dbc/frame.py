@@ -1,6 +1,7 @@
 """Classic CAN frames with 29-bit identifiers and their J1939 parts (SAE J1939-21).
 
-Most significant bit first: priority (3), extended data page (1), data page (1), PDU format (8), PDU specific (8), source (8).
+Most significant bit first: priority (3), extended data page (1), data page (1), PDU format (8), PDU specific (8),
+source (8).
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ def butterworth(order: int, fc_hz: float, rate_hz: float) -> tuple[Section, ...]
     """Design a digital Butterworth low-pass by the bilinear transform, prewarped at the cut-off.
 
     K = tan(pi fc/rate), pole pairs s^2 + s/Q_k + 1, 1/Q_k = 2 sin((2k - 1) pi/(2 n)): each gives b = K^2 (1, 2, 1)/D,
-    a1 = 2 (K^2 - 1)/D, a2 = (1 - K/Q + K^2)/D, D = 1 + K/Q + K^2; an odd order adds K (1 + z^-1)/((1 + K) + (K - 1) z^-1).
-    Raises ValueError for an order below 1 or a cut-off outside (0, rate/2). Source: textbook bilinear design.
+    a1 = 2 (K^2 - 1)/D, a2 = (1 - K/Q + K^2)/D, D = 1 + K/Q + K^2; an odd order adds K (1 + z^-1)/((1 + K) + (K - 1)
+    z^-1). Raises ValueError for an order below 1 or a cut-off outside (0, rate/2). Source: textbook bilinear design.
     """
     if order < 1 or not 0.0 < fc_hz < 0.5 * rate_hz:
         raise ValueError(f"no Butterworth low-pass of order {order}, {fc_hz} Hz at {rate_hz} Hz")

@@ -97,9 +97,8 @@ class Outputs(NamedTuple):
 class Firmware:
     """Today's control unit, with the strategy of the settings.
 
-    No input or output, no clock, bounded work per step, and no knowledge of being simulated: the
-    same calls give the same results. It never energises backward and forward together, never
-    energises a valve in FAULT, and reports a gear as confirmed only while the position estimate is in
+    No input or output, no clock, bounded work per step: the same calls give the same results. It never energises
+    backward and forward together, nor a valve in FAULT, and confirms a gear only while the position estimate is in
     that gear's window.
     """
 

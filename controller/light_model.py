@@ -1,7 +1,7 @@
 """A light model of an engagement, in plain floats, and its observer; positions in m from neutral towards the gear.
 
-One driving piston, the stay it pushes, the neutral chamber it compresses. Ellipses stand for the measured flows, the far
-chamber is at the atmosphere, no synchronizer: its force is what the observer finds.
+One driving piston, the stay it pushes, the neutral chamber it compresses. Ellipses stand for the measured flows, the
+far chamber is at the atmosphere, no synchronizer: its force is what the observer finds.
 """
 
 from __future__ import annotations
@@ -103,13 +103,11 @@ class Valve:
 
 
 class LightModel:
-    """Equations of the engagement, one semi-implicit Euler step at a time.
+    """Equations of the engagement, one semi-implicit Euler step at a time: 80 arithmetic operations, 2 square roots.
 
-    P' = (alpha_m R f - alpha P V') / V, f = C P_up sqrt(1 - ((r - b)/(1 - b))^2), where
-    r = max(P_down/P_up, b);
-    m_p u' = A_p (P_d - P_n) - friction for the piston, m_s v' = A_s (P_d - P_atm) - friction - load
-    for the stay, and equal speeds where the one pushes the other. Some 80 arithmetic operations
-    and 2 square roots a step.
+    P' = (alpha_m R f - alpha P V') / V, f = C P_up sqrt(1 - ((r - b)/(1 - b))^2), r = max(P_down/P_up, b); m_p u' =
+    A_p (P_d - P_n) - friction for the piston, m_s v' = A_s (P_d - P_atm) - friction - load for the stay, and equal
+    speeds where the one pushes the other.
     """
 
     def __init__(self, settings: ModelSettings, stroke_m: float) -> None:
@@ -198,9 +196,8 @@ class ObserverSettings(Settings, frozen=True):
 class Observer:
     """The light model run in parallel with the actuator and corrected by late measurements.
 
-    The model's past position goes through the same filter as the sensor's, so that the two
-    differ only by what the model does not know; the difference moves position, speed and load.
-    Bounded work: period/0.5 ms model steps and one filter step a sample.
+    Its past position goes through the sensor's filter, so that the difference is what the model does not know; it
+    moves position, speed and load. Bounded work: period/0.5 ms model steps and one filter step a sample.
     """
 
     def __init__(

@@ -6,17 +6,10 @@ import abc
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from can_dbc import messages
 from can_dbc.codec import can_id_of, encode
 from can_dbc.e2e import ACCEPTED, E2eConfig, Protector, Receiver
 from can_dbc.frame import Frame
-from can_dbc.messages import (
-    ControllerStatus,
-    DrivelineSpeeds,
-    PositionPulse,
-    SafetyBlow,
-    ShiftRequest,
-    ValveCommand,
-)
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs, Outputs
 from controller.settings import nanoseconds
@@ -32,7 +25,8 @@ class Steps(Protocol):
 class TickingNode(abc.ABC):
     """A control unit that steps at k times its period.
 
-    A frame that arrives at a tick counts for it; all frames of a step are released together, the computation time later.
+    A frame that arrives at a tick counts for it; all frames of a step are released together, the computation time
+    later.
     """
 
     name = "controller"
@@ -53,10 +47,9 @@ class TickingNode(abc.ABC):
     ) -> tuple[list[tuple[int, Frame]], int]:
         """Take the frames that arrived up to `until_ns`, and step if that is a tick.
 
-        Returns the frames to send with their release times, and the time of the next tick, ns.
-        A later time than the next tick means that the control unit stalled and missed the ticks between;
-        before its first tick it may start at any time. So does a step that takes longer than its period.
-        Raises ValueError for another time beyond the next tick that is none itself.
+        Returns the frames to send with their release times, and the time of the next tick, ns. Ticks are missed after
+        a later tick (the control unit stalled, or had not begun) and in a step longer than the period. Raises
+        ValueError for another time beyond the next tick that is none itself.
         """
         period_ns = self.config.period_ns
         if until_ns > self._tick_ns:
@@ -100,15 +93,15 @@ class ControllerNode(TickingNode):
         self.outputs: Outputs | None = None
         """Answer of the latest step."""
         e2e = config.e2e
-        self.pulses = _receiver(PositionPulse, e2e.position_timeout_s)
-        self.requests = _receiver(ShiftRequest, e2e.request_timeout_s)
-        self.speeds = _receiver(DrivelineSpeeds, e2e.speeds_timeout_s)
+        self.pulses = _receiver(messages.PositionPulse, e2e.position_timeout_s)
+        self.requests = _receiver(messages.ShiftRequest, e2e.request_timeout_s)
+        self.speeds = _receiver(messages.DrivelineSpeeds, e2e.speeds_timeout_s)
         receivers = (self.pulses, self.requests, self.speeds)
         self._receivers = {can_id_of(receiver.message_type): receiver for receiver in receivers}
-        self._protect_valves = Protector(ValveCommand)
-        self._protect_blow = Protector(SafetyBlow)
-        self._protect_status = Protector(ControllerStatus)
-        self._new_pulses: list[PositionPulse] = []
+        self._protect_valves = Protector(messages.ValveCommand)
+        self._protect_blow = Protector(messages.SafetyBlow)
+        self._protect_status = Protector(messages.ControllerStatus)
+        self._new_pulses: list[messages.PositionPulse] = []
 
     def _receive(self, arrival_ns: int, frame: Frame) -> None:
         receiver = self._receivers.get(frame.can_id)

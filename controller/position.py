@@ -21,8 +21,7 @@ class Sample(NamedTuple):
 class Estimate(NamedTuple):
     """Estimate of the motion of the stay; positions in m from neutral, backward positive.
 
-    `samples` holds those accepted in this step, oldest first; the other fields repeat the newest.
-    While `valid` is false they do not change and are not valid.
+    `samples`: those accepted in this step, oldest first; the other fields repeat the newest, void while not `valid`.
     """
 
     valid: bool
@@ -49,10 +48,9 @@ class Calibration:
 class Plausibility:
     """Separate samples that the stay can have produced from those that it cannot.
 
-    A sample is bad when temperature or position is out of range, when it is further from the one
-    before than the stay can move, or when the travel of the last moments exceeds what a shift
-    can need. A bad sample raises the level by 2, a good one lowers it by 1; at the limit the
-    position is implausible until the level is back at zero.
+    A sample is bad when temperature or position is out of range, it is further from the one before than the stay can
+    move, or the latest travel exceeds what a shift can need. Bad ones raise the level by 2, good ones lower it by 1;
+    at the limit the position is implausible until the level is back at zero.
     """
 
     def __init__(self, sensor: SensorConfig, stroke_m: float, slack_m: float) -> None:
@@ -109,9 +107,8 @@ def position_filter(config: ControlConfig) -> SectionFilter | None:
 class PositionEstimator:
     """From pulses to the estimate: one filter step per sensor sample, bounded work per step.
 
-    The filter starts at rest at the first valid sample. Samples that are missing in between (their
-    index is skipped, or they were bad) are interpolated, so that the filter keeps its time base;
-    after a longer gap it starts afresh.
+    The filter starts at rest at the first valid sample. Missing samples (index skipped, or bad) are interpolated, so
+    that it keeps its time base; after a longer gap it starts afresh.
     """
 
     def __init__(self, config: ControlConfig) -> None:

@@ -69,11 +69,9 @@ TRANSITIONS: Mapping[tuple[ShiftState, Event], ShiftState] = {
 class Observation(NamedTuple):
     """What the machine observes in one step.
 
-    `gear` is the gear whose window the position estimate is in and `run` for how many samples in a
-    row; `moved` says whether the stay has moved since this leg began. `requested` is the driver's
-    request, None without a valid one. `synchronized` is None without valid speeds. `clear_b` and
-    `clear_f` say that the chamber *opposite* to backward and forward has been off long enough.
-    `recoverable` says that the fault state may be left.
+    `gear`, `run`: whose window the position is in, for how many samples in a row; `moved`: since this leg began;
+    `requested`, `synchronized`: None without a valid request, or speeds; `clear_b`, `clear_f`: the chamber *opposite*
+    to that gear has been off long enough; `recoverable`: the fault state may be left.
     """
 
     position_valid: bool
@@ -90,16 +88,14 @@ class Observation(NamedTuple):
 class ShiftMachine:
     """Sequence of a gear shift, one transition of `TRANSITIONS` per step at most.
 
-    From gear to gear the way leads through neutral: after the blow into N the next PUSH follows at
-    once. A request counts when it differs from both the confirmed gear and the last request that
-    was served (or failed), so that a gear that drops out, or a failed shift, is not tried again by
+    From gear to gear the way leads through neutral: after the blow into N the next PUSH follows at once. A request
+    counts when it differs from the confirmed gear and from the last one served (or failed): nothing is tried again by
     itself. A push ends the confirmation of the gear it leaves.
 
-    A request that changes during a shift: on the way to neutral only what follows changes; a push
-    into, or a blow on, a gear is given up and neutral pushed; in HOLD and VENT the new shift starts
-    at once. A request that is lost: the leg under way is finished, none follows.
-    A lost position ends a shift in FAULT; so does a push that fails. FAULT is left by a request
-    that differs from the failed one, once the faults are gone.
+    A request that changes: on the way to neutral only what follows changes; a push into, or a blow on, a gear is given
+    up and neutral pushed; in HOLD and VENT the new shift starts at once. One that is lost: the leg under way is
+    finished, none follows. A lost position, or a push that fails, ends in FAULT, left by a request other than the
+    failed one once the faults are gone.
     """
 
     def __init__(self, config: ControlConfig, blow_s: BlowLength) -> None:

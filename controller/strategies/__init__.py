@@ -43,9 +43,9 @@ OFF = Duties(0.0, 0.0, 0.0)
 class ShiftContext(NamedTuple):
     """The push that a strategy carries out.
 
-    `charged` is the chamber that drives the stay to `leg`. `start_ns` is the start of this push,
-    `attempt` counts the earlier ones of the same leg. `apart_rad_s` is input minus output speed as
-    last reported, None without a valid report, and `apart_ns` the step that received it first.
+    `charged`: chamber that drives the stay to `leg`; `attempt`: number of earlier pushes of this leg; `apart_rad_s`:
+    input minus output speed as last reported, None without a valid report, `apart_ns`: the step that received it
+    first.
     """
 
     leg: Gear
@@ -68,9 +68,9 @@ def one_chamber(chamber: Chamber, duty: float) -> Duties:
 class Strategy(abc.ABC):
     """Decides the duties while a position is pushed for and until it is confirmed.
 
-    The firmware around it decides when to push, when the position is confirmed, and what happens
-    after that; it refuses duties that would fill backward and forward together (an internal fault).
-    A strategy keeps a bounded state, does bounded work per call, and reads no clock.
+    The firmware decides when to push, what is confirmed and what follows, and refuses duties that fill backward and
+    forward together (an internal fault). A strategy keeps a bounded state, does bounded work per call, and reads no
+    clock.
     """
 
     Parameters: ClassVar[type[Struct]] = Settings

@@ -5,16 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 from controller.settings import bounded
-from controller.strategies.into_gear import (
-    Command,
-    IntoGear,
-    IntoGearParameters,
-    PushProgress,
-    within,
-)
+from controller.strategies import into_gear
 
 
-class AirCushionParameters(IntoGearParameters, frozen=True):
+class AirCushionParameters(into_gear.IntoGearParameters, frozen=True):
     """When the burst begins and how long it lasts."""
 
     trigger_m: Annotated[float, bounded(0.0, 0.1, "m")] = 0.006
@@ -27,7 +21,7 @@ class AirCushionParameters(IntoGearParameters, frozen=True):
     """Whether the driving chamber goes on being filled during the burst."""
 
 
-class AirCushion(IntoGear):
+class AirCushion(into_gear.IntoGear):
     """Fill the neutral chamber for a moment just before the end (thesis 6.3).
 
     The burst begins when x + v lead >= trigger; the lead covers sensor and valve. Some 4 operations a step.
@@ -42,7 +36,7 @@ class AirCushion(IntoGear):
         """Forget the burst."""
         self._begun_s = None
 
-    def decide(self, progress: PushProgress) -> Command:
+    def decide(self, progress: into_gear.PushProgress) -> into_gear.Command:
         """Push until the burst, brake during it, push again."""
         parameters = self.parameters
         if (
@@ -51,5 +45,5 @@ class AirCushion(IntoGear):
             >= parameters.trigger_m
         ):
             self._begun_s = progress.spent_s
-        burst = within(self._begun_s, progress.spent_s, parameters.burst_s)
-        return Command(parameters.keep_charging or not burst, burst)
+        burst = into_gear.within(self._begun_s, progress.spent_s, parameters.burst_s)
+        return into_gear.Command(parameters.keep_charging or not burst, burst)

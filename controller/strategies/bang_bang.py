@@ -47,9 +47,9 @@ class BangBangParameters(ForesightParameters, frozen=True):
 class BangBang(Foresight):
     """Push, and brake as late as the light model says is early enough (thesis 4.1, 4.2.1).
 
-    By Pontryagin the quickest soft arrival is a matter of switching times. Until motion is measured the stored time counts; then
-    it is solved anew in every step, by bisection on the impact speed: at most 8 trials of horizon/0.5 ms model steps of some 60
-    operations, 60,000 a step at a horizon of 60 ms.
+    By Pontryagin the quickest soft arrival is a matter of switching times. Until motion is measured the stored time
+    counts; then it is solved anew in every step, by bisection on the impact speed: at most 8 trials of horizon/0.5 ms
+    model steps of some 60 operations, 60,000 a step at a horizon of 60 ms.
     """
 
     Parameters = BangBangParameters

@@ -21,9 +21,9 @@ class Command(NamedTuple):
 class PushProgress(NamedTuple):
     """Late measurements of a push, from neutral towards the gear.
 
-    spent_s: since the push began. new_samples: of the sensor, since the last step. apart_rad_s:
-    distance of the shafts' speeds as last reported, None without a valid report; apart_s: when the
-    step that received it first was, since the push began (negative: before).
+    spent_s: since it began; new_samples: since the last step; apart_rad_s: distance of the speeds as last reported,
+    None without a valid report; apart_s: when the step that received it first was, since the push began (negative:
+    before).
     """
 
     spent_s: float
@@ -58,9 +58,8 @@ def within(begun_s: float | None, now_s: float, length_s: float) -> bool:
 class IntoGear(Strategy):
     """A push into gear with a brake: the neutral chamber, which the motion compresses.
 
-    To neutral, in a repeated attempt and after `patience_s` the push is today's open loop (thesis
-    4.2.1: only the engagement needs the damper). Only the charged chamber and the neutral one are
-    ever filled, so backward and forward never meet.
+    To neutral, in a repeated attempt and after `patience_s` it is today's open loop (thesis 4.2.1). Only the charged
+    chamber and the neutral one are ever filled, so backward and forward never meet.
     """
 
     parameters: IntoGearParameters

@@ -5,18 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 from controller.settings import bounded
-from controller.strategies.into_gear import (
-    BRAKE,
-    PUSH,
-    REST,
-    Command,
-    IntoGear,
-    IntoGearParameters,
-    PushProgress,
-)
+from controller.strategies import into_gear
 
 
-class SlidingModeParameters(IntoGearParameters, frozen=True):
+class SlidingModeParameters(into_gear.IntoGearParameters, frozen=True):
     """Surface and band."""
 
     slope_per_s: Annotated[float, bounded(1.0, 1000.0, "1/s")] = 60.0
@@ -25,12 +17,13 @@ class SlidingModeParameters(IntoGearParameters, frozen=True):
     """The goal lies this far beyond the stop, so that the stay is pressed on at the end."""
 
 
-class SlidingMode(IntoGear):
+class SlidingMode(into_gear.IntoGear):
     """Keep s = slope (goal - x) - v at zero: fill when above the band, brake when below.
 
-    On s = 0 the remaining way decays with 1/slope, whatever mass and load; the pressures, which nobody measures, are left out
-    (the reduction of order). Within the band both chambers vent. Some 5 operations a step. Source: Paul, Mishra and Radke, Reduced
-    order sliding mode control for pneumatic actuator, IEEE Trans. Control Systems Technology 2 (1994).
+    On s = 0 the remaining way decays with 1/slope, whatever mass and load; the pressures, which nobody measures, are
+    left out (the reduction of order). Within the band both chambers vent. Some 5 operations a step. Source: Paul,
+    Mishra and Radke, Reduced order sliding mode control for pneumatic actuator, IEEE Trans. Control Systems Technology
+    2 (1994).
     """
 
     Parameters = SlidingModeParameters
@@ -39,11 +32,11 @@ class SlidingMode(IntoGear):
     def reset(self) -> None:
         """Nothing to forget: the surface has no memory."""
 
-    def decide(self, progress: PushProgress) -> Command:
+    def decide(self, progress: into_gear.PushProgress) -> into_gear.Command:
         """Choose by the side of the surface."""
         parameters = self.parameters
         goal_m = self.config.windows.stroke_m + parameters.beyond_m
         side_m_s = parameters.slope_per_s * (goal_m - progress.travelled_m) - progress.speed_m_s
         if side_m_s > parameters.band_m_s:
-            return PUSH
-        return BRAKE if side_m_s < -parameters.band_m_s else REST
+            return into_gear.PUSH
+        return into_gear.BRAKE if side_m_s < -parameters.band_m_s else into_gear.REST

@@ -10,17 +10,10 @@ from typing import Annotated
 from msgspec import Struct
 
 from controller.settings import ControlConfig, bounded
-from controller.strategies.into_gear import (
-    PUSH,
-    Command,
-    IntoGear,
-    IntoGearParameters,
-    PushProgress,
-    within,
-)
+from controller.strategies import into_gear
 
 
-class SynchroBrakeParameters(IntoGearParameters, frozen=True):
+class SynchroBrakeParameters(into_gear.IntoGearParameters, frozen=True):
     """When to act before the forecast release, and for how long; when to leave it."""
 
     brake_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.03
@@ -36,14 +29,15 @@ class SynchroBrakeParameters(IntoGearParameters, frozen=True):
     too small to be braked: the stay would not get past the dogs, nor hit its stop hard."""
 
 
-class SynchroBrake(IntoGear):
+class SynchroBrake(into_gear.IntoGear):
     """Brake so that the counter-pressure is there when the shafts run together.
 
-    While the synchronizer blocks, the difference of the speeds falls; the parabola through its last three reports says when it is
-    zero and the stay let go. The neutral chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one
-    left from `rest_lead_s` before it for `rest_s` (a valve follows only if it closes in less). Every report renews the forecast until
-    the first of the two begins; no brake if the release is too near or the force too small. Some 50 operations and a root a step.
-    Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds, it is the open loop.
+    While the synchronizer blocks, the difference of the speeds falls; the parabola through its last three reports says
+    when it is zero and the stay let go. The neutral chamber is filled from `brake_lead_s` before that instant for
+    `burst_s`, the driving one left from `rest_lead_s` before it for `rest_s` (a valve follows only if it closes in
+    less). Every report renews the forecast until the first of the two begins; no brake if the release is too near or
+    the force too small. Some 50 operations and a root a step. Assumes that the engine gives no torque meanwhile.
+    Without a synchronizer, or without speeds, it is the open loop.
     """
 
     Parameters = SynchroBrakeParameters
@@ -62,7 +56,7 @@ class SynchroBrake(IntoGear):
         self._reports.clear()
         self._release_s = self._brake_s = self._rest_s = None
 
-    def decide(self, progress: PushProgress) -> Command:
+    def decide(self, progress: into_gear.PushProgress) -> into_gear.Command:
         """Push but for the two intervals before and after the forecast release."""
         parameters = self.parameters
         # the step nearest to an instant acts for it
@@ -70,17 +64,17 @@ class SynchroBrake(IntoGear):
         if self._brake_s is None and self._rest_s is None:
             self._note(progress)
             if self._release_s is None or self._release_s - now_s < parameters.least_lead_s:
-                return PUSH
+                return into_gear.PUSH
         assert self._release_s is not None
         if self._brake_s is None and now_s >= self._release_s - parameters.brake_lead_s:
             self._brake_s = now_s
         if self._rest_s is None and now_s >= self._release_s - parameters.rest_lead_s:
             self._rest_s = now_s
-        brake = within(self._brake_s, now_s, parameters.burst_s)
-        rest = within(self._rest_s, now_s, parameters.rest_s)
-        return Command(not rest, brake)
+        brake = into_gear.within(self._brake_s, now_s, parameters.burst_s)
+        rest = into_gear.within(self._rest_s, now_s, parameters.rest_s)
+        return into_gear.Command(not rest, brake)
 
-    def _note(self, progress: PushProgress) -> None:
+    def _note(self, progress: into_gear.PushProgress) -> None:
         """Take a new report, and forecast when the speeds will be equal."""
         if progress.apart_rad_s is None:
             self._reports.clear()

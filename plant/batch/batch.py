@@ -166,9 +166,10 @@ def fill_still(out: Floats, strokes: Strokes, columns: Iterable[int], covered: B
 class BatchResult:
     """What became of a batch; in_lanes: which strokes the lanes ran.
 
-    status: integrate.DONE or why the stroke stopped early (plant.integrator.hybrid.REASONS); arrival_s, impact_speed_m_s,
-    impact_energy_j: first impact of the stay on a stop, nan if none; final [n, states]; samples [n, samples, columns];
-    events [n, room, EVENT_COLUMNS]: the first of each stroke, event_count: of all; steps: accepted ones.
+    status: integrate.DONE or why the stroke stopped early (plant.integrator.hybrid.REASONS); arrival_s,
+    impact_speed_m_s, impact_energy_j: first impact of the stay on a stop, nan if none; final [n, states]; samples [n,
+    samples, columns]; events [n, room, EVENT_COLUMNS]: the first of each stroke, event_count: of all; steps: accepted
+    ones.
     """
 
     status: Ints
@@ -212,11 +213,11 @@ def simulate_batch(
 ) -> BatchResult:
     """Simulate all strokes of a batch.
 
-    sample_s: [s] or [n, s], ascending instants in s at which states are wanted; columns: those to be sampled (plant.kernel.layout),
-    all by default; tolerance: of the integrator, relative to each state's scale; workers: threads; event_room: how many events of
-    each stroke to keep; lanes: False sends every stroke through the scalar kernel, rests included.
-    Raises ValueError for strokes that `Strokes.check` refuses, instants that do not ascend and unknown columns.
-    A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
+    sample_s: [s] or [n, s], ascending instants in s at which states are wanted; columns: those to be sampled
+    (plant.kernel.layout), all by default; tolerance: of the integrator, relative to each state's scale; workers:
+    threads; event_room: how many events of each stroke to keep; lanes: False sends every stroke through the scalar
+    kernel, rests included. Raises ValueError for strokes that `Strokes.check` refuses, instants that do not ascend and
+    unknown columns. A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
     """
     n, states = len(strokes), strokes.initial.shape[1]
     batch = _arrays(strokes, sample_s, columns)

@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from plant.batch.lane_steps import WIDTH, lane_modes, lane_parameters
+from plant.integrator import events as event
 from plant.integrator import loop
-from plant.integrator.events import (
-    after_event,
-    all_guards,
-    at_rest,
-    choose_modes,
-    hidden_meeting,
-    hidden_turn,
-    smallest,
-)
 from plant.integrator.filling import FOLLOW_GRID
 from plant.integrator.loop import Motion
 from plant.integrator.rest import pass_rest
@@ -81,7 +73,7 @@ def store_arrival(t, impact, result):
 @called
 def handle_event(index, one, k, o, task, result):
     """Reset at an event and store it, the first impact on a stop as the arrival."""
-    after_event(one.time, index, o)
+    event.after_event(one.time, index, o)
     impact = impact_of(o.scratch.impact)
     loop.store_event(one.time, index, impact, o.y, k.events, task)
     store_arrival(one.time, impact, result)
@@ -97,11 +89,11 @@ def prepare(one, k, o, task, result, n):
             return loop.DONE
         if k.events > loop.MAX_EVENTS:
             return loop.TOO_MANY_EVENTS
-        if all_guards(one.time, o.y, o, o.scratch.guards) < 0.0:
-            handle_event(smallest(o.scratch.guards), one, k, o, task, result)
+        if event.all_guards(one.time, o.y, o, o.scratch.guards) < 0.0:
+            handle_event(event.smallest(o.scratch.guards), one, k, o, task, result)
             continue
         status = loop.STEPPING
-        if task.tabulated and loop.valves_stand(o) and at_rest(o.m):
+        if task.tabulated and loop.valves_stand(o) and event.at_rest(o.m):
             status, index = pass_rest(one, k, o, one.stage, one.spare, task, n)
             if index >= 0:
                 handle_event(index, one, k, o, task, result)
@@ -144,8 +136,8 @@ def find_event(one, k, o, task, until, n):
     if loop.expects_event(task, k.steps - 1):
         fired = one.lowest < 0.0
         if not fired:
-            theta = hidden_turn(h, y1, one.rate_0, one.rate, o)
-            theta = min(theta, hidden_meeting(h, y1, o))
+            theta = event.hidden_turn(h, y1, one.rate_0, one.rate, o)
+            theta = min(theta, event.hidden_meeting(h, y1, o))
     dense = one.dense
     if fired or theta < 1.0:
         explicit_dense(1.0, o.y, y1, one.k, dense, n)
@@ -153,7 +145,7 @@ def find_event(one, k, o, task, until, n):
         for i in range(task.n_columns):
             dense_element(1.0, o.y, y1, one.k, dense, task.columns[i])
     if fired:
-        all_guards(one.time + h, y1, o, o.scratch.guards)
+        event.all_guards(one.time + h, y1, o, o.scratch.guards)
     return loop.first_event(one, theta, fired, y1, one.spare, o, task, n)
 
 
@@ -161,7 +153,8 @@ def find_event(one, k, o, task, until, n):
 def judge(one, k, o, task, result, n):
     """Accept or reject the step that a lane has just taken; one that follows a grid rejects nothing.
 
-    Returns STEPPING, DONE when something has happened (event, switch, end) and the lane must be prepared, or why it stops.
+    Returns STEPPING, DONE when something has happened (event, switch, end) and the lane must be prepared, or why it
+    stops.
     """
     h = one.step
     one.accepted = 0.0
@@ -208,4 +201,4 @@ def begin(one, k, o, result):
     result.arrival = np.nan
     result.speed = np.nan
     result.energy = np.nan
-    choose_modes(0.0, o)
+    event.choose_modes(0.0, o)

@@ -1,7 +1,8 @@
 """Eight lanes side by side: one Runge-Kutta step of all of them as vector instructions.
 
-All numbers of a lane are `WIDTH` apart in one flat array, so that the compiler can prove that nothing overlaps. Covered: mapped flow
-without leaks, line, damper, synchronizer, barriers or added terms (`FREE_OF`); all else belongs to the scalar kernel.
+All numbers of a lane are `WIDTH` apart in one flat array, so that the compiler can prove that nothing overlaps.
+Covered: mapped flow without leaks, line, damper, synchronizer, barriers or added terms (`FREE_OF`); all else belongs
+to the scalar kernel.
 """
 
 from __future__ import annotations
@@ -12,16 +13,8 @@ from plant.equations.fixed_piston import fixed_guards, fixed_rates
 from plant.equations.length_contacts import guards
 from plant.equations.length_stroke import rates
 from plant.integrator import steppers
+from plant.kernel import layout
 from plant.kernel.compiled import called, inlined, plain
-from plant.kernel.layout import (
-    MAX_STATES,
-    FlowMap,
-    Modes,
-    Parameters,
-    fixed_state,
-    flow_map,
-    length_state,
-)
 from plant.kernel.records import Record, Value, block, interleaved
 from plant.kernel.views import discarding, lane, named
 
@@ -44,22 +37,22 @@ FREE_OF = (
     "adder",
 )
 MODES_FREE_OF = ("damper", "line", "masses", "oil_rest", "blocked")
-lane_parameters = named(Parameters, FREE_OF)
-plain_parameters = named(Parameters, (*FREE_OF, "alpha_v0"))
-lane_modes = named(Modes, MODES_FREE_OF)
+lane_parameters = named(layout.Parameters, FREE_OF)
+plain_parameters = named(layout.Parameters, (*FREE_OF, "alpha_v0"))
+lane_modes = named(layout.Modes, MODES_FREE_OF)
 
 
 class Lane(Record):
     """One of WIDTH interleaved strokes in the flat array."""
 
-    y: Value = block(MAX_STATES)
-    stage: Value = block(MAX_STATES)  # state of a stage, at the end the new state
-    rate: Value = block(MAX_STATES)  # its rates
-    rate_0: Value = block(MAX_STATES)  # rates at the step's start
-    spare: Value = block(MAX_STATES)
-    k: Value = block(7, MAX_STATES)  # step times rates
-    dense: Value = block(5, MAX_STATES)
-    modes: Value = block(Modes.size)
+    y: Value = block(layout.MAX_STATES)
+    stage: Value = block(layout.MAX_STATES)  # state of a stage, at the end the new state
+    rate: Value = block(layout.MAX_STATES)  # its rates
+    rate_0: Value = block(layout.MAX_STATES)  # rates at the step's start
+    spare: Value = block(layout.MAX_STATES)
+    k: Value = block(7, layout.MAX_STATES)  # step times rates
+    dense: Value = block(5, layout.MAX_STATES)
+    modes: Value = block(layout.Modes.size)
     u0: Value = block(3)  # valve positions u0 + du t
     du: Value = block(3)
     time: Value
@@ -72,11 +65,13 @@ class Lane(Record):
     root: Value  # sixteenth root of the norm
     before: Value  # the same of the last step taken, bounded below
     lowest: Value  # guard at the end of the step
-    flow: Value = block(FlowMap.size)
-    parameters: Value = block(Parameters.fields["added_count"].start)  # no term is added here
-    steps: Value = block(MAX_STATES)  # step sizes again, once for every state
-    scale: Value = block(MAX_STATES)
-    take: Value = block(MAX_STATES)  # `accepted` again, once for every state
+    flow: Value = block(layout.FlowMap.size)
+    parameters: Value = block(
+        layout.Parameters.fields["added_count"].start
+    )  # no term is added here
+    steps: Value = block(layout.MAX_STATES)  # step sizes again, once for every state
+    scale: Value = block(layout.MAX_STATES)
+    take: Value = block(layout.MAX_STATES)  # `accepted` again, once for every state
     accepted: Value  # 1: the state at the end of the last step is to be taken
 
 
@@ -107,7 +102,7 @@ def rates_over_lanes(rates_of_system, state, parameters):
                 one.u0,
                 one.du,
                 parameters(one.parameters),
-                flow_map(one.flow),
+                layout.flow_map(one.flow),
                 False,
             )
 
@@ -130,12 +125,12 @@ def guards_over_lanes(guards_of_system, state):
     return over_lanes
 
 
-fixed_lanes = rates_over_lanes(fixed_rates, fixed_state, plain_parameters)
-length_lanes = rates_over_lanes(rates, length_state, plain_parameters)
-curved_fixed_lanes = rates_over_lanes(fixed_rates, fixed_state, lane_parameters)
-curved_length_lanes = rates_over_lanes(rates, length_state, lane_parameters)
-fixed_lane_guards = guards_over_lanes(fixed_guards, fixed_state)
-length_lane_guards = guards_over_lanes(guards, length_state)
+fixed_lanes = rates_over_lanes(fixed_rates, layout.fixed_state, plain_parameters)
+length_lanes = rates_over_lanes(rates, layout.length_state, plain_parameters)
+curved_fixed_lanes = rates_over_lanes(fixed_rates, layout.fixed_state, lane_parameters)
+curved_length_lanes = rates_over_lanes(rates, layout.length_state, lane_parameters)
+fixed_lane_guards = guards_over_lanes(fixed_guards, layout.fixed_state)
+length_lane_guards = guards_over_lanes(guards, layout.length_state)
 
 
 @called
@@ -162,8 +157,9 @@ def increments(steps, rate, k, count):
 def step_of_lanes(f, fixed, curved, n, tolerance, width):
     """One Dormand-Prince step of every lane, each with its own size, after the `accepted` ends have become states.
 
-    y, rate_0, time, step -> stage (new state), rate (there), k (increments), lowest (guard there), norm (of the error), root
-    and factor, by which the error lets the step grow. `width`: WIDTH, as a variable, so that the lanes are not unrolled.
+    y, rate_0, time, step -> stage (new state), rate (there), k (increments), lowest (guard there), norm (of the
+    error), root and factor, by which the error lets the step grow. `width`: WIDTH, as a variable, so that the lanes
+    are not unrolled.
     """
     count = n * WIDTH
     a = all_lanes(f)

@@ -13,32 +13,22 @@ from plant.batch import lane_control
 from plant.batch.lane_steps import FREE_OF, MODES_FREE_OF, WIDTH, Lane, lane_of, step_of_lanes
 from plant.integrator.filling import FOLLOW_GRID, OWN_STEPS, STORED_ROW, WRITE_GRID
 from plant.integrator.loop import DONE, STEPPING, Scratch, Task, scratch_of
+from plant.kernel import layout
 from plant.kernel.compiled import called, inlined, kernel
-from plant.kernel.layout import (
-    FIXED,
-    EventRow,
-    FixedState,
-    FlowMap,
-    GridRow,
-    LengthState,
-    Modes,
-    Parameters,
-)
 from plant.kernel.views import view
 
-ALPHA_V0, FLOW_SIZE = Parameters.fields["alpha_v0"].start, FlowMap.size
-NOT_IN_LANES = tuple(Parameters.fields[name].start for name in FREE_OF)
-MODES_NOT_IN_LANES = tuple(Modes.fields[name].start for name in MODES_FREE_OF)
+ALPHA_V0, FLOW_SIZE = layout.Parameters.fields["alpha_v0"].start, layout.FlowMap.size
+NOT_IN_LANES = tuple(layout.Parameters.fields[name].start for name in FREE_OF)
+MODES_NOT_IN_LANES = tuple(layout.Modes.fields[name].start for name in MODES_FREE_OF)
 COUNTERS, FLAT = lane_control.Memory.size, Lane.size * WIDTH
-MOVING_STATES = (FixedState.p_2 + 1, LengthState.p_f + 1)
+MOVING_STATES = (layout.FixedState.p_2 + 1, layout.LengthState.p_f + 1)
 
 
 class Batch(NamedTuple):
-    """Arrays of a batch; an array with one row is shared by all strokes.
+    """Arrays of a batch, as those of `plant.batch.batch.Strokes`; an array with one row is shared by all strokes.
 
-    packed [strokes, Parameters.size]; flow, initial, modes, valves, switches [., k, 4] with infinite
-    times behind the last, duration: see `plant.batch.batch.Strokes`; samples [., s] in s, ascending;
-    columns: states to be sampled; scale: typical size of each state.
+    switches [., k, 4] with infinite times behind the last; samples [., s] in s, ascending; columns: states to be
+    sampled; scale: typical size of each state.
     """
 
     packed: Any
@@ -76,7 +66,7 @@ class Room(NamedTuple):
         return cls(
             np.zeros(FLAT + Scratch.size),
             np.zeros(lane_control.Memory.size * WIDTH, dtype=np.int64),
-            np.zeros((steps, GridRow.size)),
+            np.zeros((steps, layout.GridRow.size)),
             np.zeros((samples, STORED_ROW)),
         )
 
@@ -87,7 +77,7 @@ def room_for_results(strokes: int, states: int, samples: int, columns: int, even
         np.zeros((strokes, lane_control.Result.size)),
         np.zeros((strokes, states)),
         np.zeros((strokes, samples, columns)),
-        np.zeros((strokes, events, EventRow.size)),
+        np.zeros((strokes, events, layout.EventRow.size)),
     )
 
 
@@ -160,7 +150,7 @@ def run_order(batch, outcome, room, table, order, tolerance, system, pace):
     n = MOVING_STATES[system]
     # WIDTH; as a variable it keeps the compiler from unrolling the lanes
     width = room.counters.shape[0] // COUNTERS
-    fixed = system == FIXED
+    fixed = system == layout.FIXED
     f = view(room.flat, 0)
     counters = view(room.counters, 0)
     scratch = scratch_of(f[FLAT:])
@@ -219,8 +209,8 @@ def run_order(batch, outcome, room, table, order, tolerance, system, pace):
 def run_lanes(batch, outcome, room, table, order, tolerance, system, follow):
     """Simulate the strokes `order` (int64, their numbers) of a batch, in lanes.
 
-    table: filling curves of the only flow map, to pass rests in closed form, shorter if there are none; system: FIXED or
-    LENGTH; follow: True if the first stroke writes the grid and the others take its steps.
+    table: filling curves of the only flow map, to pass rests in closed form, shorter if there are none; system: FIXED
+    or LENGTH; follow: True if the first stroke writes the grid and the others take its steps.
     """
     if not follow:
         run_order(batch, outcome, room, table, order, tolerance, system, (OWN_STEPS, 1))

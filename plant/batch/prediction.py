@@ -1,9 +1,10 @@
 """Many runs of one stroke with changing parameters, for fits, and how it changes with them.
 
-Derivatives are differences along one frozen sequence of steps: the stroke runs once and notes where its steps end; the same
-stroke with a parameter moved by a tiny amount then takes those very steps, in the lanes where they cover it, without error
-control, but locates its own events, resets at its own instants and rests for its own time.  Both are the same smooth function
-of the parameter, so the difference quotient carries the motion of the events and is good to many digits.
+Derivatives are differences along one frozen sequence of steps: the stroke runs once and notes where its steps end; the
+same stroke with a parameter moved by a tiny amount then takes those very steps, in the lanes where they cover it,
+without error control, but locates its own events, resets at its own instants and rests for its own time.  Both are the
+same smooth function of the parameter, so the difference quotient carries the motion of the events and is good to many
+digits.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ class Followers:
     ) -> tuple[int, Floats, NDArray[np.bool_]]:
         """Status of the first stroke, samples [n, s, columns] in SI units, and which [n] are alike it.
 
-        The other strokes differ from the first by a share of about `MOVE`.  Those that are alike went
-        through the same steps and events; then the difference of their samples, divided by the
-        parameter's, is a derivative.  The samples of the others mean nothing.
+        The others differ from it by a share of about `MOVE`. Those that are alike went through the same steps and
+        events; then the difference of their samples, by the parameter's, is a derivative. The samples of the rest mean
+        nothing.
         """
         n, states = len(strokes), strokes.initial.shape[1]
         covered = strokes.in_lanes
@@ -172,13 +173,11 @@ class Predictor:
         columns: Sequence[int] | None = None,
         tolerance: float = BATCH_TOLERANCE,
     ) -> tuple[Floats, list[Floats | None]]:
-        """States at the instants, and their derivatives by what was moved; [n, columns] each.
+        """States at the instants, and their derivatives by what was moved; [n, columns] each, SI units.
 
-        moved: setups next to `setup`, each with one quantity changed by its step, which should be a
-        share of about `plant.batch.prediction.MOVE` of the quantity's size; columns: states wanted, all that
-        move by default.  The events move along.  None where a neighbour did not meet the same events.
-
-        Raises IntegrationError if the motion of `setup` cannot be continued.
+        moved: setups next to `setup`, each with one quantity changed by its step, about a share `MOVE` of its size;
+        columns: states wanted, all that move by default. None where a neighbour did not meet the same events. Raises
+        IntegrationError if the motion of `setup` cannot be continued, ValueError for another number of steps.
         """
         if len(moved) != len(steps):
             raise ValueError(f"{len(moved)} setups and {len(steps)} steps")

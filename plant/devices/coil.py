@@ -131,12 +131,11 @@ def _march(
 
 
 class CoilValve(Valve):
-    """One 3/2 valve whose plunger is moved by the force of its coil.
+    """One 3/2 valve whose plunger is moved by the force of its coil; it switches near the middle of its travel.
 
-    The valve switches where the plunger passes the middle of its travel. `state` is that of the
-    coil at the last whole step. Whether it `is_energised` follows from the duty as in `Valve`.
-    Every `sample_ns` (0: never) the current is noted in `currents` (instant in ns, current in A).
-    Raises ValueError when `duty` contradicts `is_open`, InputError for dips that overlap.
+    `state` is the coil's at the last whole step; it `is_energised` by the duty, as in `Valve`. Every `sample_ns` (0:
+    never) the current is noted in `currents` (ns, A). Raises ValueError when `duty` contradicts `is_open`, InputError
+    for dips that overlap.
     """
 
     def __init__(

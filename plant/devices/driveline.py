@@ -62,9 +62,10 @@ class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Driveline:
     """Speeds of the two shafts, advanced at given instants with the state of the stay.
 
-    Out of gear the input speed ramps to what the engine leaves over. The cone needs the impulse J = I |w_in - w_out| / k of its
-    axial force to take the difference away, in proportion: w_in - w_out = (w_in - w_out)_0 (1 - spent/J). In gear they are equal.
-    Assumptions: no torque of the engine while the stay is away from neutral; the output shaft keeps its speed.
+    Out of gear the input speed ramps to what the engine leaves over. The cone needs the impulse J = I |w_in - w_out| /
+    k of its axial force to take the difference away, in proportion: w_in - w_out = (w_in - w_out)_0 (1 - spent/J). In
+    gear they are equal. Assumptions: no torque of the engine while the stay is away from neutral; the output shaft
+    keeps its speed.
     """
 
     def __init__(
@@ -76,7 +77,8 @@ class Driveline:
     ) -> None:
         """Start at rest at `position_m`, in gear beyond `x_block_m` from neutral; there the engine has synchronised.
 
-        Raises InputError unless `x_block_m` is positive. Without a synchronizer (on a rig) only a stated impulse blocks.
+        Raises InputError unless `x_block_m` is positive. Without a synchronizer (on a rig) only a stated impulse
+        blocks.
         """
         if not x_block_m > 0.0:
             raise InputError(f"synchronizer.x_block: {x_block_m:g}; expected above 0 m")
@@ -145,8 +147,8 @@ class Driveline:
     ) -> float | None:
         """Advance to `now_ns`; return the impulse [N s] to arm the synchronizer with, or None.
 
-        Position and spent impulse are the stay's at `now_ns`, `direction` the gear that is asked for (BACKWARD, NO_GEAR, FORWARD).
-        Raises ValueError when time runs backwards.
+        Position and spent impulse are the stay's at `now_ns`, `direction` the gear that is asked for (BACKWARD,
+        NO_GEAR, FORWARD). Raises ValueError when time runs backwards.
         """
         if now_ns < self._now_ns:
             raise ValueError(f"driveline at {self._now_ns} ns asked for {now_ns} ns")
@@ -226,8 +228,8 @@ class Driveline:
 class ToothedWheel:
     """A shaft speed as a toothed wheel and a timer measure it.
 
-    Whole teeth since the last report / time between their edges, in whole ticks; without a new tooth the last value stays.
-    Assumes: even teeth, and a speed that is constant between two reports.
+    Whole teeth since the last report / time between their edges, in whole ticks; without a new tooth the last value
+    stays. Assumes: even teeth, and a speed that is constant between two reports.
     """
 
     def __init__(

@@ -90,8 +90,8 @@ class InductiveSensor:
 def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats:
     """Second-order sections [n, 5] (b0 b1 b2 a1 a2) of a digital Butterworth low-pass filter, of unit gain at rest.
 
-    H(s) = prod 1/(s - p_k), p_k = exp(j pi (2k + n + 1)/(2n)), by the bilinear transform, prewarped; an odd order ends with one
-    of first order. Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
+    H(s) = prod 1/(s - p_k), p_k = exp(j pi (2k + n + 1)/(2n)), by the bilinear transform, prewarped; an odd order ends
+    with one of first order. Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
     """
     if not 1 <= order <= 12:
         raise InputError(f"position_sensor.butter_order: {order}; expected 1 to 12, or 0 for none")
@@ -134,10 +134,11 @@ def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
 class InternalChain:
     """The position as the control unit reports it: pulse, timer, conversion, filter, hold.
 
-    A pulse starts at every tick, measures the position at tick + t_mid/2, is counted in timer ticks, converted back with
-    `calibration` and the measured temperature, filtered once per period, and holds from tick + latency + t8V until the next one.
-    period_s, latency_s [s]; filter_order 0: none; cutoff_hz [Hz]; coil_temperature_k: its own, measured_temperature_k: the one
-    compensated for [K]. Source: thesis 2.2.4; numbers inferred. Matches `position_internal_m` of recorded strokes.
+    A pulse starts at every tick, measures the position at tick + t_mid/2, is counted in timer ticks, converted back
+    with `calibration` and the measured temperature, filtered once per period, and holds from tick + latency + t8V
+    until the next one. period_s, latency_s [s]; filter_order 0: none; cutoff_hz [Hz]; coil_temperature_k: its own,
+    measured_temperature_k: the one compensated for [K]. Source: thesis 2.2.4; numbers inferred. Matches
+    `position_internal_m` of recorded strokes.
     """
 
     sensor: InductiveSensor
@@ -186,7 +187,8 @@ class InternalChain:
     def held_m(self, time_s: Floats, tick_s: Floats, measured_m: Floats) -> Floats:
         """Return the reported position [n] in m at `time_s` [n] of positions measured [k] at ticks [k].
 
-        Before the first publication that of the first; one published at the instant of a record, but for rounding, is in it.
+        Before the first publication that of the first; one published at the instant of a record, but for rounding, is
+        in it.
         """
         duration_s = self.sensor.duration_s(measured_m, self.coil_temperature_k)
         pulse_s = self.sensor.ticks(duration_s) * self.sensor.tick_s

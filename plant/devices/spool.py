@@ -85,7 +85,8 @@ def spool_moves(
 ) -> Iterator[Move]:
     """Yield the moves of one valve by commands (instant ns, signal), each after the valve's delay.
 
-    A larger signal acts after the opening delay, a smaller one after the closing delay; one that overtakes another cancels it.
+    A larger signal acts after the opening delay, a smaller one after the closing delay; one that overtakes another
+    cancels it.
     """
     signal: list[tuple[int, float]] = []
     before = start

@@ -73,11 +73,11 @@ class CoilConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class ValveTiming:
     """Thresholds and delays of a solenoid valve.
 
-    The coil is energised from `duty_open` on, not up to `duty_closed`; between the two its state stays. The plunger follows
-    `rise_ns` after the coil is energised and `fall_delay_ns` after it is not. With `closing_follows_duty` the coil current, by
-    that of a duty of 1, follows the duty with the time constant `fall_tau_s`; the less there is, the sooner a valve closes.
-    Raises InputError naming the parameter that is out of range. Source: thesis 3.1.3 (8 ms, 35 ms, 33 %, 35 %); the closing that
-    follows the duty is inferred from its remark on the freewheel diode.
+    The coil is energised from `duty_open` on, not up to `duty_closed`; between the two its state stays. The plunger
+    follows `rise_ns` after the coil is energised and `fall_delay_ns` after it is not. With `closing_follows_duty` the
+    coil current, by that of a duty of 1, follows the duty with the time constant `fall_tau_s`; the less there is, the
+    sooner a valve closes. Raises InputError naming the parameter that is out of range. Source: thesis 3.1.3 (8 ms, 35
+    ms, 33 %, 35 %); the closing that follows the duty is inferred from its remark on the freewheel diode.
     """
 
     rise_ns: int
@@ -143,7 +143,8 @@ class ValveTiming:
     def fall_delay_ns(self, current: float) -> int:
         """Return the closing delay [ns] of a coil with a current, by that of a duty of 1.
 
-        With `closing_follows_duty` D_fall = fall_base + fall_tau ln(i / i_hold): decay through the freewheel diode to halfway between the thresholds.
+        With `closing_follows_duty` D_fall = fall_base + fall_tau ln(i / i_hold): decay through the freewheel diode to
+        halfway between the thresholds.
         """
         if not self.closing_follows_duty:
             return self.fall_ns
@@ -164,7 +165,8 @@ class ValveTiming:
 class Valve:
     """One 3/2 valve: open connects its chamber to supply, closed to atmosphere.
 
-    A command reversed before the plunger moved leaves no trace; a move due at the very instant of a command happens first.
+    A command reversed before the plunger moved leaves no trace; a move due at the very instant of a command happens
+    first.
     """
 
     def __init__(self, timing: ValveTiming, is_open: bool = False, duty: float = 0.0) -> None:

@@ -71,11 +71,12 @@ class _Channel(Generic[Input]):
 class ValveDriver:
     """Receivers of ValveCommand and SafetyBlow, and the duties that they lead to.
 
-    A coil gets the larger of its commanded duty and, while an active blow for its chamber has time left on the driver's own clock,
-    the blow's: the one configured, else the one commanded when it began, else (below `duty_open`) `blow_duty`. A command from before
-    the blow ends with it. While either channel is not valid every coil gets 0: a dead controller de-energises the valves exactly
-    `timeout_s` after its last good frame. Only frames with right checksum and counter, within the contract, change a duty.
-    A timer that ends at the very instant at which a frame arrives is overtaken by the frame.
+    A coil gets the larger of its commanded duty and, while an active blow for its chamber has time left on the
+    driver's own clock, the blow's: the one configured, else the one commanded when it began, else (below `duty_open`)
+    `blow_duty`. A command from before the blow ends with it. While either channel is not valid every coil gets 0: a
+    dead controller de-energises the valves exactly `timeout_s` after its last good frame. Only frames with right
+    checksum and counter, within the contract, change a duty. A timer that ends at the very instant at which a frame
+    arrives is overtaken by the frame.
     """
 
     def __init__(

@@ -43,7 +43,8 @@ class ValveFault(FaultWindow, frozen=True, kw_only=True):
 class FaultyValve:
     """One valve behind its faults, in their order: takes the driver's duties and returns those at the coil.
 
-    A command is taken before a fault of its instant. Raises InputError for a fault that ends before it starts, or two of a kind at once.
+    A command is taken before a fault of its instant. Raises InputError for a fault that ends before it starts, or two
+    of a kind at once.
     """
 
     def __init__(

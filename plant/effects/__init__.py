@@ -103,7 +103,8 @@ def apply_to_run(
 ) -> Setup:
     """Return the packed parameters `p` of a run changed by the set's effects, as part of a setup.
 
-    c: flow map [FlowMap.size], no unit.  Raises InputError for unknown effects, bad values, and effects that a run cannot apply.
+    c: flow map [FlowMap.size], no unit.  Raises InputError for unknown effects, bad values, and effects that a run
+    cannot apply.
     """
     check_effects(parameters.effects, parameters.name)
     given = {

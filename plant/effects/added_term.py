@@ -1,7 +1,7 @@
 """Terms that an effect adds to the equations: plain functions, compiled when they are first used.
 
-A function's address and the values of its parameters are written into a stroke's record, and the equations call it in its
-slot: no kernel is compiled again. A stroke with an added term takes the scalar kernel, also in a batch.
+A function's address and the values of its parameters are written into a stroke's record, and the equations call it in
+its slot: no kernel is compiled again. A stroke with an added term takes the scalar kernel, also in a batch.
 """
 
 from __future__ import annotations

@@ -27,10 +27,9 @@ Need = Literal["damper", "internal position", "length stroke", "process exponent
 class EffectParameter:
     """One parameter of an effect.
 
-    neutral: the value at which the effect is absent; low, high: physical bounds; typical: the size
-    of an effect worth reporting (scale of a search); sign: 0 if both signs are physical, +1 or -1
-    if only values above or below neutral are; optional: may be left out (neutral then); listed: a
-    list of numbers; fitted: false for a parameter that only a variant sets.
+    neutral: where the effect is absent; low, high: physical bounds; typical: size worth reporting (scale of a search);
+    sign: +1 or -1 if only values above or below neutral are physical; optional: may be left out (neutral then);
+    listed: a list of numbers; fitted: false if only a variant sets it.
     """
 
     name: str
@@ -49,10 +48,9 @@ class EffectParameter:
 class Variant:
     """One reading of an effect that the vocabulary of causes leaves open, e.g. on which chamber.
 
-    fixed: the parameters that make the variant; starts: values of the fitted parameters to begin a
-    search from (none: several multiples of the typical size); needs: beyond those of the effect;
-    fills_table: it takes the one tabulated term that the equations have; prior: its probability before
-    any data, against 1 of a cause without variants.
+    fixed: parameters that make it; starts: fitted parameters to begin a search from (none: multiples of the typical
+    size); needs: beyond the effect's; fills_table: it takes the one tabulated term of the equations; prior: against 1
+    of a cause without variants.
     """
 
     name: str = ""

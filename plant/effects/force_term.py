@@ -13,10 +13,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """Samples in which the body moves.
+    """Samples [n] in which the body moves.
 
-    Arrays [n]: driving force in N, speed in m/s, acceleration in m/s^2, position in m, pressure in
-    Pa (None: not measured) and number of the block of time.
+    Force in N, speed in m/s, acceleration in m/s^2, position in m, pressure in Pa (None: not measured), number of the
+    time block.
     """
 
     force_n: Floats
@@ -36,9 +36,8 @@ def no_shape(motion: Motion) -> tuple[float, ...]:
 class ForceTerm:
     """An effect as a coefficient times a feature of the motion.
 
-    parameter, unit: of the coefficient; what: in words; feature(motion, shape): [n], force per unit
-    of the coefficient; shapes(motion): shape parameters to try; sign: +1 if only positive
-    coefficients are physical, 0 if both signs are.
+    parameter, unit: of the coefficient; feature(motion, shape): [n], force per unit of it; shapes(motion): shape
+    parameters to try; sign: +1 if only positive coefficients are physical, 0 if both signs are.
     """
 
     parameter: str

@@ -43,8 +43,8 @@ NORMAL = NormalDist()
 def shift(setup: Setup, name: str, amount: float) -> None:
     """Change one quantity of a setup: times exp(amount), "rise" and "fall" by seconds, "wall_density" by itself.
 
-    Relative amounts add up in logarithms. What is `LIMITED` moves by standard deviations of a normal distribution that the limits
-    map to its tails.
+    Relative amounts add up in logarithms. What is `LIMITED` moves by standard deviations of a normal distribution that
+    the limits map to its tails.
     """
     if name in ("rise", "fall"):
         shift_delay(setup, name, amount)

@@ -1,7 +1,7 @@
 """A user's own effects: a Python file outside the package, of the form of the files in plant/effects.
 
-What is wrong with it is found when it is loaded: statements, compilation of its terms, their values all over the ranges,
-and any change while its parameters are neutral.
+What is wrong with it is found when it is loaded: statements, compilation of its terms, their values all over the
+ranges, and any change while its parameters are neutral.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ _LOADED: dict[str, tuple[str, tuple[str, ...]]] = {}
 def load_effects(where: str) -> str:
     """Add the effects of a file to the catalogue; return PATH@sha256:HASH, which loads exactly it.
 
-    where: a path, or what an earlier call returned. Raises InputError naming file, line, what is wrong and what was expected: no such
-    file, not Python, an effect incomplete, inconsistent or with an id that exists, a term that numba cannot compile or that is
-    not finite, another content than that of the hash.
+    where: a path, or what an earlier call returned. Raises InputError naming file, line, what is wrong and what was
+    expected: no such file, not Python, an effect incomplete, inconsistent or with an id that exists, a term that numba
+    cannot compile or that is not finite, another content than that of the hash.
     """
     name, _, expected = where.partition(MARK)
     path = resolved(name)

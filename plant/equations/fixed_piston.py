@@ -1,8 +1,8 @@
 """The fixed-piston actuator: right-hand side, guards and resets (thesis 3.46-3.52 with errata).
 
-V1 = V10 + A1 x, V2 = V20 - A2 x, 0 <= x <= stroke. A user's cylinder has balances of mass and energy in place of the thesis's
-exponents. `fixed_rates`: 3.46 (position), 3.47 (forces, with `fixed_drive`, `fixed_friction`), 3.48, 3.49 (P_1, P_2);
-`plant.parts.chamber.chamber`: 3.50, 3.51 (flows); `plant.parts.forces`: 3.52.
+V1 = V10 + A1 x, V2 = V20 - A2 x, 0 <= x <= stroke. A user's cylinder has balances of mass and energy in place of the
+thesis's exponents. `fixed_rates`: 3.46 (position), 3.47 (forces, with `fixed_drive`, `fixed_friction`), 3.48, 3.49
+(P_1, P_2); `plant.parts.chamber.chamber`: 3.50, 3.51 (flows); `plant.parts.forces`: 3.52.
 """
 
 from __future__ import annotations
@@ -12,18 +12,7 @@ from plant.equations.length_modes import direction_of, group_acceleration, rebou
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COMPRESSIBLE, FIXED, GUARDS, Guard, Slot, quadratures_of
 from plant.kernel.packing import CYLINDER_STATES, STATE_COUNTS
-from plant.parts.chamber import (
-    all_leaks,
-    chamber,
-    energy_source,
-    exponents,
-    line_feed,
-    mass_rate,
-    openings,
-    piston_leak,
-    store_chamber,
-    temperature,
-)
+from plant.parts import chamber as air
 from plant.parts.damper import oil_rate
 from plant.parts.forces import loaded, seal_drag, stay_sliding, stay_static, store_loads
 
@@ -61,25 +50,25 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     u_2 = u0[1] + du[1] * t
     supply = y.p_line if m.line != 0 else p.p_supply
     v_1, v_2 = fixed_volumes(y, p)
-    t_1 = temperature(y.p_1, v_1, y.m_1, p) if m.masses != 0 else p.t_gas
-    t_2 = temperature(y.p_2, v_2, y.m_2, p) if m.masses != 0 else p.t_gas
+    t_1 = air.temperature(y.p_1, v_1, y.m_1, p) if m.masses != 0 else p.t_gas
+    t_2 = air.temperature(y.p_2, v_2, y.m_2, p) if m.masses != 0 else p.t_gas
     t_across = t_1 if y.p_1 > y.p_2 else t_2
-    across = piston_leak(y.p_1, y.p_2, t_across, p)
-    leak_1 = all_leaks(0.0 - across, t, y.x, y.p_1, t_1, u_1, Slot.FLOW_1, p)
-    leak_2 = all_leaks(across, t, y.x, y.p_2, t_2, u_2, Slot.FLOW_2, p)
-    alphas = exponents(abs(v), p)
+    across = air.piston_leak(y.p_1, y.p_2, t_across, p)
+    leak_1 = air.all_leaks(0.0 - across, t, y.x, y.p_1, t_1, u_1, Slot.FLOW_1, p)
+    leak_2 = air.all_leaks(across, t, y.x, y.p_2, t_2, u_2, Slot.FLOW_2, p)
+    alphas = air.exponents(abs(v), p)
     outside_1, outside_2 = leak_1 + across, leak_2 - across
     if m.masses != 0:
-        leak_1 = energy_source(leak_1, v_1, y.m_1, t_1, p)
-        leak_2 = energy_source(leak_2, v_2, y.m_2, t_2, p)
+        leak_1 = air.energy_source(leak_1, v_1, y.m_1, t_1, p)
+        leak_2 = air.energy_source(leak_2, v_2, y.m_2, t_2, p)
         alphas = p.air_kappa, p.air_kappa, p.air_kappa, p.air_kappa
     dv_1 = p.area_p * v
     dv_2 = -p.area_p2 * v
-    one = chamber(y.p_1, t_1, u_1, leak_1, v_1, dv_1, supply, alphas, p, c)
-    two = chamber(y.p_2, t_2, u_2, leak_2, v_2, dv_2, supply, alphas, p, c)
+    one = air.chamber(y.p_1, t_1, u_1, leak_1, v_1, dv_1, supply, alphas, p, c)
+    two = air.chamber(y.p_2, t_2, u_2, leak_2, v_2, dv_2, supply, alphas, p, c)
     if m.masses != 0:
-        dy.m_1 = mass_rate(one, outside_1, u_1, t_1, p) - across / t_across
-        dy.m_2 = mass_rate(two, outside_2, u_2, t_2, p) + across / t_across
+        dy.m_1 = air.mass_rate(one, outside_1, u_1, t_1, p) - across / t_across
+        dy.m_2 = air.mass_rate(two, outside_2, u_2, t_2, p) + across / t_across
     dy.x = v
     dy.v = a
     dy.p_1 = one[0]
@@ -89,14 +78,18 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         dy.p_oil = oil_rate(y.x, v, y.p_oil, m, p)
     dy.p_line = 0.0
     if m.line != 0:
-        left = line_feed(y.p_line, p) - openings(u_1, p)[0] * one[1] - openings(u_2, p)[0] * two[1]
+        left = (
+            air.line_feed(y.p_line, p)
+            - air.openings(u_1, p)[0] * one[1]
+            - air.openings(u_2, p)[0] * two[1]
+        )
         dy.p_line = p.r_air / p.line_volume * left
     if quadratures:
         q = quadratures_of(dy[CYLINDER_STATES if m.masses != 0 else FIXED_STATES :])
         for j in range(3):
             q.gas[j] = q.heat[j] = q.work[j] = q.mass_in[j] = q.mass_out[j] = 0.0
-        store_chamber(q, 0, one, y.p_1, t_1, u_1, dv_1, p)
-        store_chamber(q, 1, two, y.p_2, t_2, u_2, dv_2, p)
+        air.store_chamber(q, 0, one, y.p_1, t_1, u_1, dv_1, p)
+        air.store_chamber(q, 1, two, y.p_2, t_2, u_2, dv_2, p)
         q.friction = fixed_friction(y, d, p) * d * v if d != 0 else 0.0
         store_loads(q, t, y.x, v, 1.0, y.p_oil, m, p)
         q.atmosphere = -p.p_atm * p.area_s * v

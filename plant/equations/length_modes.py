@@ -5,17 +5,7 @@ The one-dimensional contact problem of three bodies by pool-adjacent-violators (
 
 from __future__ import annotations
 
-from plant.equations.length_contacts import (
-    EPS_PA,
-    at_outer_stop,
-    bond,
-    end_stop,
-    note_corners,
-    note_side,
-    piston_holds,
-    sign_ahead,
-    stay_limits,
-)
+from plant.equations import length_contacts as contacts
 from plant.equations.length_stroke import (
     TOUCH_M,
     across,
@@ -77,15 +67,15 @@ def lone_piston(y, k, force, p):
         piston_sliding(v, 1.0, pressure, p),
         piston_sliding(v, -1.0, pressure, p),
         p.m_p,
-        piston_holds(1.0, k, y),
-        piston_holds(-1.0, k, y),
+        contacts.piston_holds(1.0, k, y),
+        contacts.piston_holds(-1.0, k, y),
     )
 
 
 @inlined
 def joined_acceleration(y, m, p, force, c1, c2):
     """Acceleration of the stay with the pistons joined to it [m/s^2], by their contacts c1 and c2."""
-    high, low = stay_limits(y, m, p)
+    high, low = contacts.stay_limits(y, m, p)
     drive = force[0]
     mass = p.m_s
     cap_plus = stay_static(y.x_s, 1.0, p)
@@ -103,8 +93,8 @@ def joined_acceleration(y, m, p, force, c1, c2):
             cap_minus += piston_static(-1.0, pressure, p)
             run_plus += piston_sliding(y.v_s, 1.0, pressure, p)
             run_minus += piston_sliding(y.v_s, -1.0, pressure, p)
-            stop_plus = stop_plus or piston_holds(1.0, k, y)
-            stop_minus = stop_minus or piston_holds(-1.0, k, y)
+            stop_plus = stop_plus or contacts.piston_holds(1.0, k, y)
+            stop_minus = stop_minus or contacts.piston_holds(-1.0, k, y)
     return group_acceleration(
         y.v_s, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
     )
@@ -113,15 +103,16 @@ def joined_acceleration(y, m, p, force, c1, c2):
 @inlined
 def closing(y, k, p, joined, touch, relative):
     """Return True if piston k touches the stay and would close the contact; relative: accelerations."""
-    push = p.m_p * sign_ahead(k, touch) * relative
-    return joined == FREE and touch != FREE and push < bond(touch, y, p)
+    push = p.m_p * contacts.sign_ahead(k, touch) * relative
+    return joined == FREE and touch != FREE and push < contacts.bond(touch, y, p)
 
 
 @inlined
 def join(y, m, p, force):
     """Contacts of pistons 1 and 2 that close, and the accelerations of stay, piston 1 and 2.
 
-    From apart: touching bodies whose accelerations (or pushes at rest) would close the contact are joined, until none does.
+    From apart: touching bodies whose accelerations (or pushes at rest) would close the contact are joined, until none
+    does.
     """
     touch1 = touching(y, 0, p) if abs(opening(y, 0)) <= SAME_M_S else FREE
     touch2 = touching(y, 1, p) if abs(opening(y, 1)) <= SAME_M_S else FREE
@@ -153,10 +144,14 @@ def part(y, p, force, joined):
             break
         alone1 = (force[1] - d * piston_sliding(y.v_s, d, across(y, 0), p)) / p.m_p
         alone2 = (force[2] - d * piston_sliding(y.v_s, d, across(y, 1), p)) / p.m_p
-        if c1 != FREE and p.m_p * sign_ahead(0, c1) * (alone1 - a) > bond(c1, y, p):
+        if c1 != FREE and p.m_p * contacts.sign_ahead(0, c1) * (alone1 - a) > contacts.bond(
+            c1, y, p
+        ):
             a1 = alone1
             c1 = FREE
-        elif c2 != FREE and p.m_p * sign_ahead(1, c2) * (alone2 - a) > bond(c2, y, p):
+        elif c2 != FREE and p.m_p * contacts.sign_ahead(1, c2) * (alone2 - a) > contacts.bond(
+            c2, y, p
+        ):
             a2 = alone2
             c2 = FREE
         else:
@@ -191,7 +186,7 @@ def seat_piston(y, p, k, contact):
 def settle_oil(y, outward, m, p):
     """Choose whether the damper's oil rests; outward: 1 if the stay goes to it, 0 or -1 if not."""
     m.oil_rest = 0
-    if y.p_oil <= p.p_atm + EPS_PA:
+    if y.p_oil <= p.p_atm + contacts.EPS_PA:
         y.p_oil = p.p_atm
         m.oil_rest = 0 if outward > 0 else 1
 
@@ -207,7 +202,7 @@ def settle_damper(y, m, p):
     elif before == 0:
         m.side = 1
     side = float(m.side)
-    note_corners(side * y.x_s, side * y.v_s, m, p)
+    contacts.note_corners(side * y.x_s, side * y.v_s, m, p)
     if m.damper == COMPRESSIBLE:
         if before != 0 and m.side != before:
             y.p_oil = p.p_atm
@@ -217,10 +212,10 @@ def settle_damper(y, m, p):
 @called
 def settle(t, y, m, p):
     """Choose the modes that continue the motion; touching bodies that break away together all slide."""
-    note_side(y, m, p)
+    contacts.note_side(y, m, p)
     if m.damper != 0:
         side = float(m.side)
-        note_corners(side * y.x_s, side * y.v_s, m, p)
+        contacts.note_corners(side * y.x_s, side * y.v_s, m, p)
     m.blocked = 0
     m.stay = 0
     m.piston_1 = 0
@@ -268,7 +263,7 @@ def join_velocity(y, p, k, slow):
     before = p.m_s * vs * vs + p.m_p * (one * one + other * other)
     v = (p.m_s * vs + p.m_p * one) / (p.m_s + p.m_p)
     contact = touching(y, 1 - k, p)
-    if contact != FREE and sign_ahead(1 - k, contact) * (other - v) < slow:
+    if contact != FREE and contacts.sign_ahead(1 - k, contact) * (other - v) < slow:
         v = (p.m_s * vs + p.m_p * (one + other)) / (p.m_s + 2.0 * p.m_p)
         piston_of(y, 1 - k).v = sense(1 - k) * v
     piston_of(y, k).v = sense(k) * v
@@ -289,7 +284,7 @@ def rebound(v, p):
 def slow_parting(y, k, relative, p):
     """Speed below which piston k does not count as parting, by its acceleration relative to the stay."""
     contact = touching(y, k, p)
-    return SLOW_M_S if contact != FREE and sign_ahead(k, contact) * relative < 0.0 else 0.0
+    return SLOW_M_S if contact != FREE and contacts.sign_ahead(k, contact) * relative < 0.0 else 0.0
 
 
 @called
@@ -337,7 +332,7 @@ def stop_piston(y, k, p, impact):
 @inlined
 def stop_stay(y, m, p, impact):
     """Stop the stay at an end, at the synchronizer or in neutral; True if it has met one of them."""
-    high, low = stay_limits(y, m, p)
+    high, low = contacts.stay_limits(y, m, p)
     obstacle = 0.0
     if y.x_s >= high - TOUCH_M and y.v_s > 0.0:
         obstacle = 1.0
@@ -356,7 +351,7 @@ def stop_stay(y, m, p, impact):
         y.x_1 = 0.0
     if obstacle == 0.0:
         return False
-    at_block = abs(obstacle) == 1.0 and abs(y.x_s) < end_stop(p) - TOUCH_M
+    at_block = abs(obstacle) == 1.0 and abs(y.x_s) < contacts.end_stop(p) - TOUCH_M
     after = 0.0 if at_block else rebound(y.v_s, p)
     impact.lost += 0.5 * p.m_s * (y.v_s * y.v_s - after * after)
     if abs(y.v_s) > impact.speed:
@@ -369,7 +364,7 @@ def stop_stay(y, m, p, impact):
 @inlined
 def meet_piston(y, m, p, k, slow, slow_other, impact):
     """Resolve a closing contact of stay and piston k; True if it closes."""
-    high, low = stay_limits(y, m, p)
+    high, low = contacts.stay_limits(y, m, p)
     relative = opening(y, k)
     closes = meets(touching(y, k, p), relative, slow)
     if closes:
@@ -377,7 +372,7 @@ def meet_piston(y, m, p, k, slow, slow_other, impact):
         stopped = (
             (y.x_s >= high - TOUCH_M and push > 0.0)
             or (y.x_s <= low + TOUCH_M and push < 0.0)
-            or (relative < 0.0 and gap(y, 1 - k) <= TOUCH_M and at_outer_stop(y, 1 - k))
+            or (relative < 0.0 and gap(y, 1 - k) <= TOUCH_M and contacts.at_outer_stop(y, 1 - k))
             or abs(relative) < slow
         ) and y.v_s == 0.0
         if stopped:

@@ -16,25 +16,15 @@ thesis, piston 1 free   joined      here
 
 from __future__ import annotations
 
+from plant.kernel import layout
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import (
-    COLLAR,
-    COMPRESSIBLE,
-    FREE,
-    NUT,
-    LengthState,
-    Modes,
-    Slot,
-    piston_state,
-    quadratures_of,
-)
 from plant.parts.chamber import all_leaks, chamber, exponents, line_feed, piston_leak, store_chamber
 from plant.parts.damper import oil_rate
 from plant.parts.forces import loaded, piston_sliding, stay_sliding, store_loads
 
-LENGTH_STATES = LengthState.size
+LENGTH_STATES = layout.LengthState.size
 # Where the pistons' states and modes begin.
-PISTONS, STATUS, JOINED = LengthState.x_1, Modes.piston_1, Modes.joined_1
+PISTONS, STATUS, JOINED = layout.LengthState.x_1, layout.Modes.piston_1, layout.Modes.joined_1
 # Bodies nearer than this touch.
 TOUCH_M = 1e-9
 
@@ -42,7 +32,7 @@ TOUCH_M = 1e-9
 @inlined
 def piston_of(y, k):
     """State of piston k: 0 between B and N, 1 between N and F."""
-    return piston_state(y[PISTONS + 2 * k :])
+    return layout.piston_state(y[PISTONS + 2 * k :])
 
 
 @inlined
@@ -114,8 +104,8 @@ def accelerations(m, p, force):
 def touching(y, k, p):
     """Contact of stay and piston k where they are: NUT, COLLAR or FREE."""
     if gap(y, k) <= TOUCH_M:
-        return NUT
-    return COLLAR if gap(y, k) >= p.x_free - TOUCH_M else FREE
+        return layout.NUT
+    return layout.COLLAR if gap(y, k) >= p.x_free - TOUCH_M else layout.FREE
 
 
 @inlined
@@ -123,8 +113,8 @@ def pushing(y, m, k, force, p):
     """Force of piston k [N] if it rests on the stay and pushes, or is bonded to it; else 0."""
     contact = touching(y, k, p)
     push = sense(k) * force
-    pushes = (contact == NUT and push < 0.0) or (contact == COLLAR and push > 0.0)
-    bonded = p.bond > 0.0 and contact != FREE
+    pushes = (contact == layout.NUT and push < 0.0) or (contact == layout.COLLAR and push > 0.0)
+    bonded = p.bond > 0.0 and contact != layout.FREE
     return force if m[STATUS + k] == 0 and (pushes or bonded) else 0.0
 
 
@@ -158,9 +148,9 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
     supply = y.p_line if m.line != 0 else p.p_supply
     past_1 = piston_leak(y.p_b, y.p_n, p.t_gas, p)
     past_2 = piston_leak(y.p_f, y.p_n, p.t_gas, p)
-    leak_b = all_leaks(0.0 - past_1, t, y.x_s, y.p_b, p.t_gas, u_b, Slot.FLOW_1, p)
-    leak_n = all_leaks(past_1 + past_2, t, y.x_s, y.p_n, p.t_gas, u_n, Slot.FLOW_2, p)
-    leak_f = all_leaks(0.0 - past_2, t, y.x_s, y.p_f, p.t_gas, u_f, Slot.FLOW_3, p)
+    leak_b = all_leaks(0.0 - past_1, t, y.x_s, y.p_b, p.t_gas, u_b, layout.Slot.FLOW_1, p)
+    leak_n = all_leaks(past_1 + past_2, t, y.x_s, y.p_n, p.t_gas, u_n, layout.Slot.FLOW_2, p)
+    leak_f = all_leaks(0.0 - past_2, t, y.x_s, y.p_f, p.t_gas, u_f, layout.Slot.FLOW_3, p)
     alphas = exponents(max(abs(v_s), abs(v_1), abs(v_2)), p)
     in_b = chamber(y.p_b, p.t_gas, u_b, leak_b, vol_b, rate_b, supply, alphas, p, c)
     in_n = chamber(y.p_n, p.t_gas, u_n, leak_n, vol_n, rate_n, supply, alphas, p, c)
@@ -180,14 +170,14 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
         dy.impulse = max(0.0, push * m.blocked)
     side = float(m.side)
     dy.p_oil = 0.0
-    if m.damper == COMPRESSIBLE and m.oil_rest == 0:
+    if m.damper == layout.COMPRESSIBLE and m.oil_rest == 0:
         dy.p_oil = oil_rate(side * y.x_s, side * v_s, y.p_oil, m, p)
     dy.p_line = 0.0
     if m.line != 0:
         drawn = u_b * in_b[1] + u_n * in_n[1] + u_f * in_f[1]
         dy.p_line = p.r_air / p.line_volume * (line_feed(y.p_line, p) - drawn)
     if quadratures:
-        q = quadratures_of(dy[LENGTH_STATES:])
+        q = layout.quadratures_of(dy[LENGTH_STATES:])
         store_chamber(q, 0, in_b, y.p_b, p.t_gas, u_b, rate_b, p)
         store_chamber(q, 1, in_n, y.p_n, p.t_gas, u_n, rate_n, p)
         store_chamber(q, 2, in_f, y.p_f, p.t_gas, u_f, rate_f, p)

@@ -137,8 +137,9 @@ def root_fraction(low, high, third, a, b, c):
 def locate(t, h, high, dense, y, o, n_all):
     """Fraction of the step at which the first guard crosses zero, and that guard; y: the state there.
 
-    scratch.before: guards at the step's start, all positive, scratch.guards: at its fraction `high`, one negative; both are
-    overwritten. The bracket's upper end becomes the crossing that is foreseen first, with bisection when it stalls.
+    scratch.before: guards at the step's start, all positive, scratch.guards: at its fraction `high`, one negative;
+    both are overwritten. The bracket's upper end becomes the crossing that is foreseen first, with bisection when it
+    stalls.
     """
     low = 0.0
     third = high

@@ -15,28 +15,10 @@ from plant.errors import IntegrationError, NoVolumeError
 from plant.integrator.filling import NO_CURVES
 from plant.integrator.integrate import advance
 from plant.integrator.loop import DONE, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_EVENTS, Control, Run
-from plant.kernel.layout import (
-    LENGTH,
-    EventRow,
-    GridRow,
-    Guard,
-    Modes,
-    Parameters,
-    Quadratures,
-    pressure_slice,
-)
-from plant.kernel.packing import (
-    FIRST_STEP_S,
-    STATE_COUNTS,
-    Floats,
-    Load,
-    fresh_modes,
-    scales,
-    state_record,
-)
+from plant.kernel import layout, packing
 
 DEFAULT_TOLERANCE = 1e-8
-NO_GRID = np.zeros((1, GridRow.size))
+NO_GRID = np.zeros((1, layout.GridRow.size))
 
 REASONS = {
     TOO_MANY_EVENTS: "too many events",
@@ -49,7 +31,8 @@ REASONS = {
 class Event:
     """Something that happened at an instant inside the motion.
 
-    name: "stop" (stay against an end, or neutral), "block", "unblock", "breakaway", contacts and turns; energy_j: turned to heat.
+    name: "stop" (stay against an end, or neutral), "block", "unblock", "breakaway", contacts and turns; energy_j:
+    turned to heat.
     """
 
     time_s: float
@@ -63,10 +46,9 @@ class Event:
 class Balance:
     """What must not get lost, as residuals of the integrated quantities.
 
-    energy_residual_j: change of kinetic energy minus work of gas, loads, friction, damper, impacts;
-    energy_scale_j: work done by the gas, for comparison.  gas_residual_j: per chamber, change of
-    PV minus the integrals of alpha_m R epsilon and (1 - alpha) P dV.  air_in_kg, air_out_kg: mass
-    through the valves, at the temperature of the model.
+    energy_residual_j: change of kinetic energy less work of gas, loads, friction, damper, impacts, against the gas's
+    energy_scale_j; gas_residual_j: per chamber, change of PV less the integrals of alpha_m R epsilon and (1 - alpha) P
+    dV; air_in_kg, air_out_kg: through the valves, at the temperature of the model.
     """
 
     energy_residual_j: float
@@ -95,10 +77,10 @@ class HybridSystem:
     def __init__(
         self,
         system: int,
-        p: Parameters,
-        c: Floats,
-        y: Floats,
-        load: Load,
+        p: layout.Parameters,
+        c: packing.Floats,
+        y: packing.Floats,
+        load: packing.Load,
         charged: Sequence[str],
         tolerance: float,
         *,
@@ -109,24 +91,24 @@ class HybridSystem:
         self._p, self._c = p, c
         self._run, self._control = Run.zeros(), Control.zeros(np.int64)
         self._run.array[: len(y)] = y
-        self._control.modes = fresh_modes(system, load).array
-        Modes(self._control.modes).masses = 1 if p.air_kappa > 0.0 else 0
+        self._control.modes = packing.fresh_modes(system, load).array
+        layout.Modes(self._control.modes).masses = 1 if p.air_kappa > 0.0 else 0
         self._y = self._run.array[: len(y)]
-        self._state: Any = state_record(system)(self._y)
-        self._m = Modes(self._control.modes)
-        self._n = self._state.size if self._m.masses else STATE_COUNTS[system][2]
+        self._state: Any = packing.state_record(system)(self._y)
+        self._m = layout.Modes(self._control.modes)
+        self._n = self._state.size if self._m.masses else packing.STATE_COUNTS[system][2]
         # stick-slip between closed chambers makes hundreds of events in a quarter second;
         # a view, as all that is no state
-        self._record = np.zeros((2000, EventRow.size))[:]
+        self._record = np.zeros((2000, layout.EventRow.size))[:]
         self._m.line = 1 if has_line else 0
         run, control = self._run, self._control
         run.tolerance = tolerance
-        run.scale[: self._state.size] = scales(system)
+        run.scale[: self._state.size] = packing.scales(system)
         for index, name in enumerate(self.chambers):
             run.u0[index] = 1.0 if name in charged else 0.0
-        run.wanted = FIRST_STEP_S
+        run.wanted = packing.FIRST_STEP_S
         control.states = self._n
-        control.quadratures = Quadratures.size
+        control.quadratures = layout.Quadratures.size
         self._impact_j = 0.0
         self.now_ns = 0
         self.events: list[Event] = []
@@ -148,10 +130,10 @@ class HybridSystem:
     @property
     def pressures_pa(self) -> tuple[float, ...]:
         """Pressures of the chambers, in their order, absolute [Pa]."""
-        return tuple(self._y[pressure_slice(self._system)].tolist())
+        return tuple(self._y[layout.pressure_slice(self._system)].tolist())
 
     @property
-    def packed(self) -> Parameters:
+    def packed(self) -> layout.Parameters:
         """A copy of the parameters."""
         return self._p.copy()
 
@@ -165,12 +147,12 @@ class HybridSystem:
         until_ns: int,
         switches: Sequence[tuple[int, int, float] | tuple[int, int, float, float]] = (),
         sample_ns: NDArray[np.int64] | None = None,
-    ) -> Floats:
+    ) -> packing.Floats:
         """Integrate to `until_ns`; returns the states [n, states] in SI units at `sample_ns` [n], ascending.
 
-        switches: (instant ns, chamber index, position 0 to 1, slope 1/s if it moves on), ascending; one at `until` acts from there on.
-        Raises IntegrationError if the motion cannot be continued (not finite, endless events), ValueError for instants out of
-        order or outside [now, until].
+        switches: (instant ns, chamber index, position 0 to 1, slope 1/s if it moves on), ascending; one at `until`
+        acts from there on. Raises IntegrationError if the motion cannot be continued (not finite, endless events),
+        ValueError for instants out of order or outside [now, until].
         """
         if until_ns < self.now_ns:
             raise ValueError(f"cannot advance back from {self.now_ns} ns to {until_ns} ns")
@@ -203,8 +185,8 @@ class HybridSystem:
         return out
 
     def _note_events(self) -> None:
-        for row in map(EventRow, self._record[: self._control.events]):
-            name = Guard(int(row.guard)).event
+        for row in map(layout.EventRow, self._record[: self._control.events]):
+            name = layout.Guard(int(row.guard)).event
             speed = float(row.speed)
             if row.at_block == 1.0:
                 name = "block"
@@ -222,13 +204,13 @@ class HybridSystem:
     def _kinetic(self) -> float:
         p, y = self._p, self._y
         energy = 0.5 * p.m_s * y[1] ** 2
-        if self._system == LENGTH:
+        if self._system == layout.LENGTH:
             energy += 0.5 * p.m_p * (self._state.v_1**2 + self._state.v_2**2)
         return float(energy)
 
     def balance(self) -> Balance:
         """Energy and gas balances since the start."""
-        q = Quadratures(self._y[self._n :])
+        q = layout.Quadratures(self._y[self._n :])
         works = [float(work) for work in q.work]
         work = sum(works)
         residual = (

@@ -1,36 +1,19 @@
 """The hybrid integrator: one kernel for a stroke in one call, or pieces under lockstep.
 
-Valve switchings are known instants and split the steps; all else is a guard, located to rounding on the step's interpolant,
-after which the modes are chosen anew. Nothing is smoothed.
+Valve switchings are known instants and split the steps; all else is a guard, located to rounding on the step's
+interpolant, after which the modes are chosen anew. Nothing is smoothed.
 """
 
 from __future__ import annotations
 
 from plant.equations.length_contacts import note_side
+from plant.integrator import events as event
 from plant.integrator import loop, steppers
-from plant.integrator.events import (
-    after_event,
-    all_guards,
-    at_rest,
-    choose_modes,
-    hidden_meeting,
-    hidden_turn,
-    smallest,
-)
 from plant.integrator.filling import FOLLOW_GRID
 from plant.integrator.loop import Motion, control_of, run_of, scratch_of
 from plant.integrator.rest import pass_rest
+from plant.kernel import layout
 from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import (
-    COMPRESSIBLE,
-    FIXED,
-    Guard,
-    flow_map,
-    impact_of,
-    length_state,
-    modes,
-    parameters,
-)
 from plant.kernel.views import view
 
 
@@ -50,14 +33,14 @@ def rests_are_plain(p, m):
 @called
 def handle_event(index, r, k, o, task):
     """Reset at an event and store it; AGAIN, or TOO_MANY_EVENTS, towards which corners of a law count as well."""
-    after_event(r.time, index, o)
+    event.after_event(r.time, index, o)
     k.fresh = 1
-    if index >= Guard.CAPPED:
+    if index >= layout.Guard.CAPPED:
         k.corners += 1
         return loop.AGAIN if k.events + k.corners < k.most_events else loop.TOO_MANY_EVENTS
     if k.events >= task.room or k.events + k.corners >= k.most_events:
         return loop.TOO_MANY_EVENTS
-    loop.store_event(r.time, index, impact_of(o.scratch.impact), o.y, k.events, task)
+    loop.store_event(r.time, index, layout.impact_of(o.scratch.impact), o.y, k.events, task)
     k.events += 1
     return loop.AGAIN
 
@@ -66,15 +49,15 @@ def handle_event(index, r, k, o, task):
 def begin_piece(r, k, o, task, leaping):
     """Begin after a change: act on guards already passed, pass a rest in one step; STEPPING, AGAIN or why it stops."""
     steppers.derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
-    if all_guards(r.time, o.y, o, o.scratch.guards) < 0.0:
+    if event.all_guards(r.time, o.y, o, o.scratch.guards) < 0.0:
         # a jump of input or parameters has already passed a guard
-        return handle_event(smallest(o.scratch.guards), r, k, o, task)
+        return handle_event(event.smallest(o.scratch.guards), r, k, o, task)
     k.fresh = 0
     k.has_jacobian = 0
     m = o.m
-    if not (leaping and loop.valves_stand(o) and at_rest(m) and m.blocked == 0):
+    if not (leaping and loop.valves_stand(o) and event.at_rest(m) and m.blocked == 0):
         return loop.STEPPING
-    if m.damper == COMPRESSIBLE and m.oil_rest == 0:
+    if m.damper == layout.COMPRESSIBLE and m.oil_rest == 0:
         return loop.STEPPING
     status, index = pass_rest(r, k, o, r.y1, r.stage, task, k.states)
     if status == loop.AGAIN:
@@ -88,7 +71,7 @@ def try_step(r, k, o):
     """One step of the method that the damper's model asks for; error norm and its root's power."""
     n = k.states
     n_all = n + k.quadratures
-    if o.m.damper == COMPRESSIBLE:
+    if o.m.damper == layout.COMPRESSIBLE:
         if k.has_jacobian == 0:
             steppers.differentiate(o, r, n, n_all, k.quadratures > 0)
             k.has_jacobian = 1
@@ -110,7 +93,7 @@ def reject(r, k, h, explicit):
 @called
 def judge_step(r, k, o, norm, power, follow):
     """Accept a step and choose the size of the next; STEPPING, AGAIN if rejected, or why to stop."""
-    explicit = o.m.damper != COMPRESSIBLE
+    explicit = o.m.damper != layout.COMPRESSIBLE
     h = r.step
     if not norm <= 1.0e300:
         if 0.1 * h < 1e-14 or follow:
@@ -128,7 +111,7 @@ def judge_step(r, k, o, norm, power, follow):
     grown = h * factor
     cut = h == r.next - r.time and h < r.wanted
     r.wanted = max(r.wanted, grown) if cut else grown
-    r.wanted = min(r.wanted, 0.01 if at_rest(o.m) else loop.LONGEST_STEP_S)
+    r.wanted = min(r.wanted, 0.01 if event.at_rest(o.m) else loop.LONGEST_STEP_S)
     return loop.STEPPING
 
 
@@ -138,15 +121,15 @@ def find_event(r, k, o, task):
     h = r.step
     end = r.time + h
     n_all = k.states + k.quadratures
-    explicit = o.m.damper != COMPRESSIBLE
+    explicit = o.m.damper != layout.COMPRESSIBLE
     fired = False
     theta = 1.0
     if loop.expects_event(task, k.steps - 1):
-        fired = all_guards(end, r.y1, o, o.scratch.guards) < 0.0
+        fired = event.all_guards(end, r.y1, o, o.scratch.guards) < 0.0
         if not fired:
-            theta = hidden_meeting(h, r.y1, o)
+            theta = event.hidden_meeting(h, r.y1, o)
             if explicit:
-                theta = min(theta, hidden_turn(h, r.y1, r.k[0], r.k[6], o))
+                theta = min(theta, event.hidden_turn(h, r.y1, r.k[0], r.k[6], o))
     sampled = k.next_sample < task.n_sample and task.samples[k.next_sample] <= end
     if fired or theta < 1.0 or sampled:
         if explicit:
@@ -173,7 +156,7 @@ def finish_step(r, k, o, task):
         status = handle_event(index, r, k, o, task)
         r.wanted = min(r.wanted, max(loop.STEP_AFTER_EVENT_S, 0.3 * h))
         return status
-    if o.m.damper == COMPRESSIBLE:
+    if o.m.damper == layout.COMPRESSIBLE:
         steppers.derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
     k.has_jacobian = 0
     return loop.STEPPING
@@ -191,8 +174,8 @@ def next_event(r, k, o, task, leaping):
         status = begin_piece(r, k, o, task, leaping)
         if status != loop.STEPPING:
             return status
-    if o.m.system != FIXED:
-        note_side(length_state(o.y), o.m, o.p)
+    if o.m.system != layout.FIXED:
+        note_side(layout.length_state(o.y), o.m, o.p)
     status = loop.choose_step(r, k, task)
     if status != loop.STEPPING:
         return status
@@ -208,14 +191,15 @@ def advance(run, control, p, c, switches, samples, out, events, curves, grid):
     """Integrate from time 0 to run.end [s]; returns DONE or the reason to stop.
 
     run, control: float64 [Run.size], int64 [Control.size], updated in place; p, c: [Parameters.size], [FlowMap.size];
-    switches: [k, 4], rows (time s, chamber, position, slope 1/s), ascending; samples: [s], instants at which the state is wanted
-    -> out [s, n]; events: [e, EventRow.size], filled in order; curves: filling curves of c [TABLE], to pass rests in closed
-    form (without quadratures only), shorter if there are none; grid: [steps, GridRow.size], to write or to follow (control.use).
+    switches: [k, 4], rows (time s, chamber, position, slope 1/s), ascending; samples: [s], instants at which the state
+    is wanted -> out [s, n]; events: [e, EventRow.size], filled in order; curves: filling curves of c [TABLE], to pass
+    rests in closed form (without quadratures only), shorter if there are none; grid: [steps, GridRow.size], to write
+    or to follow (control.use).
     """
     r = run_of(run)
     k = control_of(control)
-    p = parameters(p)
-    o = Motion(r.y, modes(k.modes), r.u0, r.du, p, flow_map(c), scratch_of(r.scratch))
+    p = layout.parameters(p)
+    o = Motion(r.y, layout.modes(k.modes), r.u0, r.du, p, layout.flow_map(c), scratch_of(r.scratch))
     n_sample = samples.shape[0]
     n_columns = out.shape[1]
     columns = k.columns
@@ -228,7 +212,7 @@ def advance(run, control, p, c, switches, samples, out, events, curves, grid):
     )  # fmt: skip
     leaping = task.tabulated and k.quadratures == 0 and rests_are_plain(p, o.m)
     if k.starting != 0:
-        choose_modes(0.0, o)
+        event.choose_modes(0.0, o)
     r.time = 0.0
     k.next_switch = 0
     k.next_sample = 0

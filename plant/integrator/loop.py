@@ -7,38 +7,17 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from plant.integrator import filling
 from plant.integrator.events import all_guards, locate
-from plant.integrator.filling import (
-    FOLLOW_GRID,
-    OWN_STEPS,
-    STILL,
-    STORED_COLUMNS,
-    ChamberCurve,
-    chamber_of,
-    chamber_samples,
-    neighbour_samples,
-)
 from plant.integrator.steppers import interpolate, interpolated
+from plant.kernel import layout
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import (
-    CHAMBERS,
-    FIRST_PRESSURE,
-    GUARDS,
-    MAX_STATES,
-    EventRow,
-    GridRow,
-    Impact,
-    Modes,
-    Quadratures,
-    event_row,
-    grid_row,
-)
 from plant.kernel.records import Record, Value, block
 from plant.kernel.views import named
 
 # Rows of vectors and matrices: whole cache lines, which the vector instructions need.
 WIDEST, ROW = 32, 16
-assert WIDEST - Quadratures.size - MAX_STATES >= 0 and ROW - MAX_STATES >= 0
+assert WIDEST - layout.Quadratures.size - layout.MAX_STATES >= 0 and ROW - layout.MAX_STATES >= 0
 
 
 class Motion(NamedTuple):
@@ -56,12 +35,12 @@ class Motion(NamedTuple):
 class Scratch(Record):
     """Memory of events and rests."""
 
-    guards: Value = block(GUARDS)  # at the end of a step
-    before: Value = block(GUARDS)  # at its start
-    trial: Value = block(GUARDS)
-    older: Value = block(GUARDS)
-    impact: Value = block(Impact.size)
-    rest: Value = block(3 * ChamberCurve.size)
+    guards: Value = block(layout.GUARDS)  # at the end of a step
+    before: Value = block(layout.GUARDS)  # at its start
+    trial: Value = block(layout.GUARDS)
+    older: Value = block(layout.GUARDS)
+    impact: Value = block(layout.Impact.size)
+    rest: Value = block(3 * filling.ChamberCurve.size)
 
 
 class Run(Record):
@@ -77,7 +56,7 @@ class Run(Record):
     k: Value = block(7, WIDEST)
     dense: Value = block(5, WIDEST)
     jacobian: Value = block(WIDEST, ROW)
-    lu: Value = block(MAX_STATES, ROW)
+    lu: Value = block(layout.MAX_STATES, ROW)
     pivot: Value = block(ROW)
     scale: Value = block(ROW)  # typical size of each state, for the error control
     u0: Value = block(3)  # valve positions u0 + du t
@@ -94,7 +73,7 @@ class Run(Record):
 class Control(Record):
     """Counters and switches of one integration (int64)."""
 
-    modes: Value = block(Modes.size)
+    modes: Value = block(layout.Modes.size)
     states: Value  # how many leading states are integrated
     quadratures: Value  # how many quadratures are behind the states, 0 or all
     use: Value  # OWN_STEPS, WRITE_GRID or FOLLOW_GRID
@@ -110,7 +89,7 @@ class Control(Record):
     most_events: Value
     fresh: Value  # 1: something changed at this instant
     has_jacobian: Value
-    columns: Value = block(MAX_STATES)
+    columns: Value = block(layout.MAX_STATES)
 
 
 scratch_of = named(Scratch)
@@ -124,7 +103,7 @@ OFF_GRID = 10  # something happened that the stroke of the grid did not meet
 # It goes on: with a step, or because something has happened at this instant.
 STEPPING, AGAIN = -1, -2
 
-GRID_COLUMNS, EVENT_COLUMNS = GridRow.size, EventRow.size
+GRID_COLUMNS, EVENT_COLUMNS = layout.GridRow.size, layout.EventRow.size
 
 MAX_EVENTS = 4000
 LONGEST_STEP_S = 5e-3
@@ -135,10 +114,9 @@ STEP_AFTER_REST_S = 4e-4
 class Task(NamedTuple):
     """Views of what a stroke is given and what it writes.
 
-    switches: rows (time, chamber, position, slope), times ascending; samples: instants wanted,
-    ascending -> out, `columns` of the state each; events: room for so many; table: filling curves, if
-    tabulated; grid: steps written or followed (`use`); stored: what the grid's stroke stored of each
-    sample at rest, for its neighbours.
+    switches: rows (time, chamber, position, slope); samples: instants wanted -> out, `columns` of the state each; both
+    ascending; events: room for so many; table: filling curves, if tabulated; grid: steps written or followed (`use`);
+    stored: what the grid's stroke stored of each sample at rest, for its neighbours.
     """
 
     switches: Any
@@ -186,13 +164,13 @@ def valves_stand(o):
 @inlined
 def grid_step(task, number):
     """Step of that number in the grid, the last one if there are not so many."""
-    return grid_row(task.grid[min(number, task.steps - 1) * GRID_COLUMNS :])
+    return layout.grid_row(task.grid[min(number, task.steps - 1) * GRID_COLUMNS :])
 
 
 @called
 def choose_step(r, k, task):
     """Choose the step: what the error control wants, up to the next switch; or the grid's. STEPPING, or OFF_GRID."""
-    if task.use == FOLLOW_GRID:
+    if task.use == filling.FOLLOW_GRID:
         if k.steps >= task.steps:
             return OFF_GRID
         row = grid_step(task, k.steps)
@@ -208,15 +186,15 @@ def choose_step(r, k, task):
 @inlined
 def expects_event(task, number):
     """Return True if an event may end this step: on a grid, only where its own stroke met one."""
-    return task.use != FOLLOW_GRID or grid_step(task, number).guard >= 0.0
+    return task.use != filling.FOLLOW_GRID or grid_step(task, number).guard >= 0.0
 
 
 @inlined
 def first_event(r, theta, fired, y1, spare, o, task, n):
     """Find the first event within a step: its fraction of the step, and its guard or -1; y1: the state there.
 
-    theta: fraction at which a body may have turned or met another one, 1 if none; fired: a guard of scratch.guards is negative
-    at the end. Guard -2: the grid's stroke had passed no guard where this one has.
+    theta: fraction at which a body may have turned or met another one, 1 if none; fired: a guard of scratch.guards is
+    negative at the end. Guard -2: the grid's stroke had passed no guard where this one has.
     """
     t = r.time
     if theta < 1.0:
@@ -224,7 +202,7 @@ def first_event(r, theta, fired, y1, spare, o, task, n):
         fired = all_guards(t + theta * r.step, spare, o, o.scratch.guards) < 0.0
     if not fired:
         return 1.0, -1
-    if all_guards(t, o.y, o, o.scratch.before) < 0.0 and task.use == FOLLOW_GRID:
+    if all_guards(t, o.y, o, o.scratch.before) < 0.0 and task.use == filling.FOLLOW_GRID:
         return theta, -2
     return locate(t, r.step, theta, r.dense, y1, o, n)
 
@@ -232,10 +210,10 @@ def first_event(r, theta, fired, y1, spare, o, task, n):
 @called
 def follow_or_write(r, task, number, last, happened):
     """Write a step to the grid, or compare it; False if something else happened (-1: nothing)."""
-    if task.use == OWN_STEPS:
+    if task.use == filling.OWN_STEPS:
         return True
     row = grid_step(task, number)
-    if task.use == FOLLOW_GRID:
+    if task.use == filling.FOLLOW_GRID:
         return row.guard == happened
     row.end = r.time + r.step
     row.switch = 1.0 if last else 0.0
@@ -247,7 +225,7 @@ def follow_or_write(r, task, number, last, happened):
 def store_event(t, index, impact, y, count, task):
     """Store an event as number `count` if there is room for it."""
     if count < task.room:
-        row = event_row(task.events[count * EVENT_COLUMNS :])
+        row = layout.event_row(task.events[count * EVENT_COLUMNS :])
         row.time = t
         row.guard = index
         row.lost = impact.lost
@@ -268,21 +246,21 @@ def sample_rest(r, k, o, y1, until, task):
     while end < task.n_sample and samples[end] <= until:
         end += 1
     k.next_sample = end
-    first = FIRST_PRESSURE[int(o.m.system)]
-    count = CHAMBERS[int(o.m.system)]
+    first = layout.FIRST_PRESSURE[int(o.m.system)]
+    count = layout.CHAMBERS[int(o.m.system)]
     for i in range(n_columns):
         chamber = task.columns[i] - first
-        row = chamber_of(o.scratch.rest, max(chamber, 0))
+        row = filling.chamber_of(o.scratch.rest, max(chamber, 0))
         out = task.out[i:]
-        if chamber < 0 or chamber >= count or row.kind == STILL:
+        if chamber < 0 or chamber >= count or row.kind == filling.STILL:
             value = y1[task.columns[i]]
             for s in range(begin, end):
                 out[s * n_columns] = value
-        elif task.use == OWN_STEPS or not task.neighbours:
-            chamber_samples(row, task.table, t, samples, begin, end, out, n_columns)
+        elif task.use == filling.OWN_STEPS or not task.neighbours:
+            filling.chamber_samples(row, task.table, t, samples, begin, end, out, n_columns)
         else:
-            stored = task.stored[STORED_COLUMNS * chamber :]
-            neighbour_samples(row, t, o.c, stored, begin, end, out, task)
+            stored = task.stored[filling.STORED_COLUMNS * chamber :]
+            filling.neighbour_samples(row, t, o.c, stored, begin, end, out, task)
 
 
 @called

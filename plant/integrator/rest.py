@@ -46,7 +46,8 @@ def lowest_corner(t, fixed, y1, corner, o):
 def rest_jump(t, span, y1, corner, o, table, n):
     """Rest from t on, at most for `span` -> time passed, and the guard that ended it or -1; all positive before.
 
-    y1: the state then, scratch.guards its guards, scratch.rest the chambers' curves. Time 0 without a guard: no closed form.
+    y1: the state then, scratch.guards its guards, scratch.rest the chambers' curves. Time 0 without a guard: no closed
+    form.
     """
     g = o.scratch.guards
     w = o.scratch.rest

@@ -1,6 +1,7 @@
 """Compilation of the plant's equations by numba, with a cache that cannot outlive an edit.
 
-numba's disk cache misses an edited callee in another file: the folder is named after a hash of all kernel sources and versions.
+numba's disk cache misses an edited callee in another file: the folder is named after a hash of all kernel sources and
+versions.
 """
 
 from __future__ import annotations

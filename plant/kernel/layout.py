@@ -1,6 +1,7 @@
 """The records that the compiled equations read and write; symbols follow the thesis.
 
-s stay, p piston, 1 and 2 the two pistons (or chambers of the fixed piston), B, N and F the chambers of the length stroke.
+s stay, p piston, 1 and 2 the two pistons (or chambers of the fixed piston), B, N and F the chambers of the length
+stroke.
 """
 
 from __future__ import annotations
@@ -218,9 +219,8 @@ class Parameters(Record):
 class Slot(IntEnum):
     """Where a term enters; of a non-parametric one, as `equation` of an extended model writes it.
 
-    NONE to EXPONENT are slots of the equations (`Parameters.added`).
-    FLOW_1 to FLOW_3: into a chamber; FRICTION, RISE, FALL, SUPPLY, CHARGE_LEVEL and DISCHARGE_LEVEL
-    have one level a stroke.
+    NONE to EXPONENT: slots of the equations (`Parameters.added`), FLOW_1 to FLOW_3 into a chamber; the others but
+    POSITION and GAUGE have one level a stroke.
     """
 
     NONE = 0
@@ -246,9 +246,8 @@ class Slot(IntEnum):
 class Over(IntEnum):
     """Variable that a term depends on, as `variable` of an extended model writes it.
 
-    SPEED: speed or pressure, as the equation has it; REST, PROGRESS and VALVE have one value a stroke:
-    log10 of the rest before it [s], where it is in its campaign (0 first, 1 last), and the valve that
-    drives it (1, B, N, F: 0 to 3).
+    SPEED: or pressure, as the equation has it. One value a stroke have REST (log10 of the rest before it [s]),
+    PROGRESS (in its campaign, 0 first, 1 last) and VALVE (the one that drives it: 1, B, N, F are 0 to 3).
     """
 
     TIME = 0

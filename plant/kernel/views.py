@@ -1,9 +1,9 @@
 """Views: bare pointers into a kernel's arrays, as cheap to pass as a number; twice as fast as numba's arrays.
 
-`v[i]` is element i, `v[a:]` the view from element a on; a view with rows takes `v[i, j]`, and `v[i]` is row i.  A view of a
-record (`plant.kernel.records`) has its fields as attributes: `p.leak_atm`.  A lane view is one of `width` interleaved copies,
-so that the same equations run on many strokes at the same time.  Compiled views check no bounds; with
-OPC4_CHECKED_KERNELS=1 the kernels run as plain Python on `plant.kernel.checked`, which does.
+`v[i]` is element i, `v[a:]` the view from element a on; a view with rows takes `v[i, j]`, and `v[i]` is row i.  A view
+of a record (`plant.kernel.records`) has its fields as attributes: `p.leak_atm`.  A lane view is one of `width`
+interleaved copies, so that the same equations run on many strokes at the same time.  Compiled views check no bounds;
+with OPC4_CHECKED_KERNELS=1 the kernels run as plain Python on `plant.kernel.checked`, which does.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ TERM = types.float64(*[types.float64] * 6, types.CPointer(types.float64))
 
 
 class View(types.Type):
-    """Type of a view.
+    """Type of a view: dtype of its elements, width between neighbours, length of a row (0 without rows).
 
-    dtype: of its elements; width: distance between neighbours; length: of a row, 0 without rows;
-    record: name of the record, if it is one; zeros: names of its fields that read as 0; discards: True
-    if nothing is written.
+    record: name of the record, if it is one; zeros: names of its fields that read as 0; discards: True if nothing is
+    written.
     """
 
     def __init__(

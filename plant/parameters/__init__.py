@@ -1,7 +1,7 @@
 """Parameter sets: every number with its value, unit and source, in TOML files of sections.
 
-The shipped set `nominal` is the calibrated actuator. An extended model names its base and adds `[effect.<id>]`; `[cylinder]`
-states another actuator (`plant.parameters.cylinder`).
+The shipped set `nominal` is the calibrated actuator. An extended model names its base and adds `[effect.<id>]`;
+`[cylinder]` states another actuator (`plant.parameters.cylinder`).
 """
 
 from __future__ import annotations
@@ -134,8 +134,9 @@ def shipped() -> list[str]:
 def load(model: str | Path = "nominal", based_on: tuple[str, ...] = ()) -> ParameterSet:
     """Load a shipped set by name, or a model file by path.
 
-    A file is a full set, or starts with `[base] model = "nominal"` and changes keys of it, with the same units, or adds `effects`.
-    based_on: the files whose [base] led here. Raises InputError for an unknown name and for whatever is wrong in the file.
+    A file is a full set, or starts with `[base] model = "nominal"` and changes keys of it, with the same units, or
+    adds `effects`. based_on: the files whose [base] led here. Raises InputError for an unknown name and for whatever
+    is wrong in the file.
     """
     text = str(model)
     path = Path(text)

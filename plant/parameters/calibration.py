@@ -1,8 +1,9 @@
 """What a calibrated model file says of its values: how well they are known, and what they leave.
 
-[posterior]: by quantity of `plant.effects.tolerances`, its row of the covariance up to its own column; logarithms, seconds
-or, of what is limited, standard normal deviations. [posterior_truck]: by quantity of a truck, its standard deviation.
-[discrepancy], [discrepancy_time]: by measured column, rms of what the model leaves beyond the noise, correlation time.
+[posterior]: by quantity of `plant.effects.tolerances`, its row of the covariance up to its own column; logarithms,
+seconds or, of what is limited, standard normal deviations. [posterior_truck]: by quantity of a truck, its standard
+deviation. [discrepancy], [discrepancy_time]: by measured column, rms of what the model leaves beyond the noise,
+correlation time.
 """
 
 from __future__ import annotations

@@ -104,8 +104,9 @@ def openings(u, p):
 def chamber(pressure, kelvin, u, leak, volume, volume_rate, supply, alphas, p, c):
     """Return dP/dt = (R (am1 u f_in - am2 (1-u) f_out + leak) - alpha P dV/dt) / V   [Pa/s].
 
-    Also f_in and f_out [K kg/s], R times the sum of flows [W], and alpha = u a1 + (1-u) a2. `u`: actual valve position, 1
-    supply, 0 atmosphere; `kelvin`: of its air. Source: thesis 3.23, 3.57-3.60. Checked by: tests/physics/test_chamber.py
+    Also f_in and f_out [K kg/s], R times the sum of flows [W], and alpha = u a1 + (1-u) a2. `u`: actual valve
+    position, 1 supply, 0 atmosphere; `kelvin`: of its air. Source: thesis 3.23, 3.57-3.60. Checked by:
+    tests/physics/test_chamber.py
     """
     am1, a1, am2, a2 = alphas
     opened, vented = openings(u, p)

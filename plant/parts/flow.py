@@ -1,6 +1,7 @@
 """Flow of mass and temperature, epsilon = T m_dot, through a valve (thesis 3.1.4).
 
-`charge`, `discharge`: mapped; `orifice`: theoretical, 3.13/3.20 with its erratum corrected; `iso_6358`: by a data sheet.
+`charge`, `discharge`: mapped; `orifice`: theoretical, 3.13/3.20 with its erratum corrected; `iso_6358`: by a data
+sheet.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from plant.parameters.cylinder import CHOKED
 def charge(pressure_pa, supply_pa, c):
     """Return the mapped charge flow f_in(P) = P_s phi(P/P_s) [K kg/s]; negative above the supply.
 
-    Source: thesis 3.1.4, 3.39, scaled with the supply pressure (errata 3.21, 3.39). Checked by: tests/physics/test_flow.py
+    Source: thesis 3.1.4, 3.39, scaled with the supply pressure (errata 3.21, 3.39). Checked by:
+    tests/physics/test_flow.py
     """
     per_supply = 1.0 / supply_pa  # one division for all chambers
     ratio = pressure_pa * per_supply
@@ -51,9 +53,9 @@ def discharge(pressure_pa, atmosphere_pa, c):
 def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
     """Theoretical flow T m_dot of an orifice C_d A [K kg/s], choked below the critical ratio.
 
-    3.13 choked, 3.20 free with the density factor outside the root (erratum 3.20); antisymmetric in the pressures. Next to
-    equal ones (ratio above 0.999) the root is replaced by the odd cubic of the same value and slope there: a finite slope.
-    Checked by: tests/physics/test_flow.py (continuity at 0.5283)
+    3.13 choked, 3.20 free with the density factor outside the root (erratum 3.20); antisymmetric in the pressures.
+    Next to equal ones (ratio above 0.999) the root is replaced by the odd cubic of the same value and slope there: a
+    finite slope. Checked by: tests/physics/test_flow.py (continuity at 0.5283)
     """
     if upstream_pa >= downstream_pa:
         high = upstream_pa

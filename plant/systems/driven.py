@@ -1,6 +1,7 @@
 """Position-driven mode: a measured motion in, chamber pressures out (thesis 3.4.2).
 
-The fixed piston's chamber equations alone: no force balance, so a deviation belongs to flow, volume, exponents or timing.
+The fixed piston's chamber equations alone: no force balance, so a deviation belongs to flow, volume, exponents or
+timing.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from plant.systems.stroke import valve_moves
 def chamber_along(time, volume, start, moves, p, c, out):
     """Pressure of one chamber along a known volume -> out, by Runge-Kutta of order four.
 
-    time [s], volume [m^3] (straight between samples), moves rows (time s, position, slope 1/s) of its valve, which split steps.
+    time [s], volume [m^3] (straight between samples), moves rows (time s, position, slope 1/s) of its valve, which
+    split steps.
     """
     p = parameters(p)
     c = flow_map(c)

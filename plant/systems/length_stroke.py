@@ -20,9 +20,9 @@ from plant.parameters import ParameterSet
 class LengthStroke(HybridSystem):
     """The length stroke in motion, advanced in simulated nanoseconds.
 
-    initial: gear at time 0, "N", "B" or "F"; supply_pressure_pa: absolute, None takes the set's; charged: chambers at the supply
-    pressure with open valves; tolerance: of the integrator, relative to each state's scale. Raises InputError for a value
-    outside its range. Checked by: tests/physics/test_length_stroke.py
+    initial: gear at time 0, "N", "B" or "F"; supply_pressure_pa: absolute, None takes the set's; charged: chambers at
+    the supply pressure with open valves; tolerance: of the integrator, relative to each state's scale. Raises
+    InputError for a value outside its range. Checked by: tests/physics/test_length_stroke.py
     """
 
     chambers = ("B", "N", "F")

@@ -30,7 +30,8 @@ __all__ = ["KINDS", "Stroke", "StrokeConditions", "run_setup", "simulate"]
 class Stroke:
     """A simulated stroke: states, one row an instant, in the order of plant.kernel.layout; events, balances.
 
-    duty: commanded, of each chamber; internal_m: position as the control unit reports it; packed: the parameters that ran.
+    duty: commanded, of each chamber; internal_m: position as the control unit reports it; packed: the parameters that
+    ran.
     """
 
     conditions: StrokeConditions
@@ -192,8 +193,9 @@ def simulate(
 ) -> Stroke:
     """Simulate one stroke and sample it at `time_s` [n] in s, ascending from 0.
 
-    Returns the noise-free states, the position as the control unit would report it, the located events and the balances.
-    Raises InputError for conditions outside what the model covers, IntegrationError if the motion cannot be continued.
+    Returns the noise-free states, the position as the control unit would report it, the located events and the
+    balances. Raises InputError for conditions outside what the model covers, IntegrationError if the motion cannot be
+    continued.
     """
     return run_setup(make_setup(parameters, conditions), time_s, tolerance, internal)
 
