@@ -44,7 +44,10 @@ class Batch(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Arrays of a batch: results [strokes, Result.size], final [strokes, states], out [strokes, s, columns], events [strokes, room, EventRow.size]."""
+    """Arrays that a batch writes.
+
+    results [strokes, Result.size]; final [strokes, states]; out [strokes, s, columns]; events [strokes, room, EventRow.size].
+    """
 
     results: Any
     final: Any
@@ -53,7 +56,7 @@ class Outcome(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Memory: flat [FLAT + Scratch.size]; counters int64 [Memory.size * WIDTH]; grid [steps, GridRow.size]; stored [s, STORED_ROW]."""
+    """Memory: flat [FLAT + Scratch.size], counters [Memory.size * WIDTH], grid [steps, GridRow.size], stored [s, STORED_ROW]."""
 
     flat: Any
     counters: Any

@@ -171,17 +171,6 @@ class _Window:
         return self._value
 
 
-def faulty_valves(
-    valves: Sequence[Valve], names: Sequence[str], faults: Sequence[ValveFault], seed: int
-) -> dict[int, FaultyValve]:
-    """Return the valves that have faults, by their number."""
-    return {
-        number: FaultyValve(valve, faults_of_valve, seed)
-        for number, (valve, name) in enumerate(zip(valves, names, strict=True))
-        if (faults_of_valve := [fault for fault in faults if fault.valve == name])
-    }
-
-
 Switch = tuple[int, int, float]  # instant in ns, chamber, 1 on or open, 0 off or closed
 
 
@@ -193,7 +182,11 @@ class ValveGroup:
     ) -> None:
         """Combine valves and their faults. Raises InputError for faults that `FaultyValve` refuses."""
         self.valves = tuple(valves)
-        self._faulty = faulty_valves(valves, names, faults, seed)
+        self._faulty = {
+            number: FaultyValve(valve, faults_of_valve, seed)
+            for number, (valve, name) in enumerate(zip(valves, names, strict=True))
+            if (faults_of_valve := [fault for fault in faults if fault.valve == name])
+        }
 
     def drive(
         self, until_ns: int, commands: Sequence[tuple[int, Duties]]

@@ -104,7 +104,7 @@ def leaving_margin(d, k, y, m, p, force, caps):
 
 @inlined
 def stay_margin(d, y, m, p, force, static1, static2):
-    """Margin before the stay at rest moves in direction d with what it takes along [N]; static1, static2: the pistons' friction."""
+    """Margin before the stay at rest moves in direction d with what it takes along [N]; static1, static2: of pistons."""
     high, low = stay_limits(y, m, p)
     stay_cap = stay_static(y.x_s, d, p)
     if (d > 0 and y.x_s >= high - TOUCH_M) or (d < 0 and y.x_s <= low + TOUCH_M):
