@@ -109,17 +109,14 @@ def _data_ids(message_type: type) -> bytes:
 
 def with_counter(message_type: type, frame: Frame, counter: int) -> Frame:
     """Return the frame with that counter and its CRC, for test doubles and faults; senders use `Protector`."""
-    data = bytearray(frame.data)
-    data[1] = data[1] & 0xF0 | counter
-    e2e_p02_protect(data, _data_ids(message_type), increment_counter=False)
-    return Frame(frame.can_id, bytes(data))
+    return _sealed(frame, counter, _data_ids(message_type))
 
 
 @lru_cache(maxsize=8192)
 def _sealed(encoded: Frame, counter: int, data_ids: bytes) -> Frame:
     """Return the frame with counter and CRC; cached, because messages at rest repeat."""
     data = bytearray(encoded.data)
-    data[1] |= counter
+    data[1] = data[1] & 0xF0 | counter
     e2e_p02_protect(data, data_ids, increment_counter=False)
     return Frame(encoded.can_id, bytes(data))
 
