@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sil.files.html_table import html_table
 from sil.files.overrides import NO_SETTINGS, Settings
-from sil.files.quantity import counted
+from sil.files.quantity import counted, html_table
 
 if TYPE_CHECKING:
     import numpy as np

@@ -1,7 +1,6 @@
 """Measurements in binary files: MAT, HDF5, parquet, TDMS and MF4, through their libraries.
 
 Channels of several rates are interpolated to the instants of the fastest one.
-Checked by: tests/unit/sil/campaign/test_tables.py
 """
 
 from __future__ import annotations

@@ -25,8 +25,7 @@ from sil.campaign.tables import Decimal, read_columns
 from sil.campaign.units import SCALES
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
-from sil.files.quantity import counted
-from sil.files.units import without_units
+from sil.files.quantity import counted, without_units
 
 Floats = NDArray[np.float64]
 
@@ -36,8 +35,7 @@ Text = Annotated[str, Meta(min_length=1)]
 Rate = Annotated[float, Meta(gt=0.0, le=1e8)]
 
 
-LARGEST_VALUE = 1e30
-"""Least size of a value that no channel has."""
+LARGEST_VALUE = 1e30  # least size of a value that no channel has
 
 OWN_COLUMN = re.compile(
     r"(time_s|position_m|position_internal_m|angle_rad|force_n|torque_n_m|pressure_pa|cmd_[12BNF]|"

@@ -25,8 +25,7 @@ from sil.campaign.campaign import (
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
 
-TAIL_S = 0.1
-"""Without a recorded time axis a stroke ends this long after its last command."""
+TAIL_S = 0.1  # without a recorded time axis a stroke ends this long after its last command
 
 
 @dataclass(frozen=True)

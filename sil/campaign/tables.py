@@ -1,7 +1,6 @@
 """Tables that laboratories export: delimited text of any dialect, and binary files.
 
 Delimiter and decimal sign are decided once for a file, from all of it; what is undecidable is asked.
-Checked by: tests/unit/sil/campaign/test_tables.py
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ from sil.files.quantity import counted
 
 Decimal = Literal[".", ","]
 DELIMITERS = {"semicolon": ";", "tab": "\t", "comma": ",", "blank": " "}
-MOST_BYTES = 4 << 30
-"""The largest text that is read."""
+MOST_BYTES = 4 << 30  # the largest text that is read
 
 
 def _style(decimal: str, group: str) -> re.Pattern[str]:

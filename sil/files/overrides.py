@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import child_type, dotted, field_types, one_line
-from sil.files.quantity import unit_of
-from sil.files.units import without_units
+from sil.files.quantity import unit_of, without_units
 
 if TYPE_CHECKING:
     from plant.parameters import ParameterSet

@@ -1,7 +1,6 @@
 """Progress of long work on standard error: a bar on a terminal, a plain line now and then elsewhere.
 
 Usually nothing is shown of work that takes less than two seconds; nothing ever is after `silence()` (option --quiet).
-Checked by: tests/unit/sil/files/test_progress.py
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Independent pieces of work here, in forked processes or on a cluster, answers in order.
-
-Checked by: tests/unit/sil/inference/test_workers.py, tests/faults/test_crash_safety.py
-"""
+"""Independent pieces of work here, in forked processes or on a cluster, answers in order."""
 
 from __future__ import annotations
 

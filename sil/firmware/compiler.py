@@ -24,8 +24,7 @@ from sil.files.extras import install_command
 from sil.firmware.contract import header
 
 STACK_BYTES = 65536
-MOST_LINES = 60
-"""What is printed of a compiler's messages."""
+MOST_LINES = 60  # what is printed of a compiler's messages
 EXPORTS = ("fw_in", "fw_out", "fw_contract", "fw_init", "fw_step")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion")
 

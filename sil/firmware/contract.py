@@ -1,7 +1,4 @@
-"""opc4.h as a whole, and the memory layout of its two records in a module.
-
-Checked by: tests/unit/sil/firmware/test_c_firmware.py
-"""
+"""opc4.h as a whole, and the memory layout of its two records in a module."""
 
 from __future__ import annotations
 
@@ -34,8 +31,7 @@ class Step(NamedTuple):
 
     now_ns: int
     frames: tuple[tuple[int, Frame], ...]
-    lost: int
-    """Frames that did not fit into this or an earlier step."""
+    lost: int  # frames that did not fit into this or an earlier step
 
 
 @cache

@@ -1,7 +1,4 @@
-"""A control unit on frames as a program on messages, for callers that have no bus.
-
-Checked by: tests/unit/sil/firmware/test_frame_steps.py
-"""
+"""A control unit on frames as a program on messages, for callers that have no bus."""
 
 from __future__ import annotations
 

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from sil.coupling.transports.channel import Participant
 
 SHIPPED_IN_C = ROOT / "controller" / "c" / "opc4.c"
-IN_C = "c"
-"""In place of a file: the shipped firmware in C."""
+IN_C = "c"  # in place of a file: the shipped firmware in C
 
 
 def firmware_node(

@@ -5,7 +5,6 @@ as `controller.firmware.Firmware` has; frames, end-to-end protection and timing 
 controller node, which runs in that process too. Whatever the file does (an exception, `sys.exit`,
 `os._exit`, an endless loop, a crash) ends the run and not the program that runs it; what it prints
 goes to standard error. Wall time ends a run that hangs; it decides nothing else.
-Checked by: tests/unit/sil/firmware/test_python_file.py
 """
 
 from __future__ import annotations

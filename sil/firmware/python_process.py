@@ -3,7 +3,6 @@
 Started by `sil.firmware.python_file` with a connection, a file for stacks, and its parent's number.
 Takes a firmware to load, then turns, then an empty message. Answers ("answer", value), or
 ("refused" or "failed", a line), or ("ended", exit status) from the process that forked.
-Checked by: tests/unit/sil/firmware/test_python_file.py
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ Runs inside the importing tool's Python, where this package must be installed; s
 this file is the scenario it was exported from. The firmware steps at every multiple of its period
 inside a communication step, its end excluded, with the inputs of that step; a new sample_index
 announces a new pulse.
-Checked by: tests/unit/sil/fmu/test_export.py
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Writes a co-simulation unit (FMI 3.0) of the plant or of the firmware.
-
-Checked by: tests/unit/sil/fmu/test_export.py
-"""
+"""Writes a co-simulation unit (FMI 3.0) of the plant or of the firmware."""
 
 from __future__ import annotations
 

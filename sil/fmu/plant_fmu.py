@@ -2,7 +2,6 @@
 
 Runs inside the importing tool's Python, where this package must be installed; settings.json next to
 this file is the scenario it was exported from. The duties hold from the beginning of each step.
-Checked by: tests/unit/sil/fmu/test_export.py
 """
 
 from __future__ import annotations

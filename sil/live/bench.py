@@ -2,7 +2,6 @@
 
 Nothing is remembered between two calls: all that the page shows follows from what it asks, which is
 also the scenario file or the command that it offers to copy.
-Checked by: tests/unit/sil/live/test_bench.py
 """
 
 from __future__ import annotations
@@ -44,8 +43,7 @@ from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded, s
 if TYPE_CHECKING:
     import can
 
-LONGEST_S = 20.0
-"""Longest run of the page: a request is answered by a run from its beginning."""
+LONGEST_S = 20.0  # longest run of the page: a request is answered by a run from its beginning
 
 SLIDERS: Mapping[str, tuple[str, float, str, float, float]] = {
     "sensor.delay_s": ("sensor delay", MS, "ms", 0.5, 500.0),

@@ -1,7 +1,6 @@
 """The finished and unfinished outputs in a folder, for the tab Runs.
 
 Only what commands write there is read, and only in folders directly below the one chosen.
-Checked by: tests/unit/sil/live/test_runs.py
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.plots import content
 from sil.studies.table import RESULTS, numbers_of
 
-PAGES = ("report.html", "shift.png", "shift.svg")
-"""Files of a run that the page may open."""
+PAGES = ("report.html", "shift.png", "shift.svg")  # files of a run that the page may open
 
 
 def listed(folder: Path) -> list[dict[str, Any]]:

@@ -3,7 +3,6 @@
 It listens on 127.0.0.1. The address holds a token that the browser returns as a cookie of this site;
 a request without it, from another origin or for another host is refused with one line of log.
 Requests, messages and connections are bounded.
-Checked by: tests/unit/sil/live/test_server.py, tests/browser/test_live.py
 """
 
 from __future__ import annotations
@@ -52,11 +51,9 @@ class Bench:
 
     scenarios: Mapping[str, str]
     """Scenarios that may be run: name on the page, and file or shipped name."""
-    folder: Path
-    """Folder of finished runs; nothing else is read."""
+    folder: Path  # folder of finished runs; nothing else is read
     log: Log
-    firmware: str = ""
-    """Of the user's, in place of that of the scenarios."""
+    firmware: str = ""  # of the user's, in place of that of the scenarios
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     port: int = 0
     started: str = field(default_factory=lambda: secrets.token_hex(4))

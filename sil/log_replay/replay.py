@@ -15,9 +15,8 @@ import msgspec
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
 from controller.node import ControllerNode
-from sil.files.html_table import html_table
 from sil.files.overrides import Settings
-from sil.files.quantity import counted
+from sil.files.quantity import counted, html_table
 from sil.firmware.load import firmware_node
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit

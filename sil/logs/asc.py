@@ -69,13 +69,12 @@ class _Event(NamedTuple):
 
 
 def parse_event(text: str, decimal: bool) -> _Event:
-    """Parse the line after its time.
+    """Parse the line after its time; decimal: its numbers are decimal, not hex.
 
-    decimal: the numbers are decimal, not hex. Raises NotAFrame for an event of another kind,
-    ValueError for a broken frame line, WrongBase for one that proves the other base.
+    Raises NotAFrame for an event of another kind, ValueError for a broken frame line, WrongBase for
+    one that proves the other base.
     """
-    classic = _CLASSIC.match(text)
-    if classic:
+    if classic := _CLASSIC.match(text):
         return _classic(classic, decimal)
     error = re.match(
         r"(\d{1,5})\s+ErrorFrame\b|CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b",
@@ -127,25 +126,22 @@ def _check_base(words: Sequence[str], count: int, decimal: bool) -> None:
 def _classic(match: re.Match[str], decimal: bool) -> _Event:
     channel, digits, extended, way, kind, rest = match.groups()
     base = 10 if decimal else 16
-    words = (rest or "").split()
-    _check_base(
-        words[1:], int(words[0], 16) if words[:1] and _HEX_WORD.match(words[0]) else 0, decimal
-    )
-    frame = LogFrame(
-        0, _identifier(digits, decimal), b"", bool(extended), channel=str(int(channel))
-    )
+    code_text, *words = (rest or "").split() or [""]
+    is_hex = bool(_HEX_WORD.match(code_text))
+    _check_base(words, int(code_text, 16) if is_hex else 0, decimal)
+    can_id = _identifier(digits, decimal)
+    frame = LogFrame(0, can_id, b"", bool(extended), channel=str(int(channel)))
     frame = frame._replace(direction=_direction(way))
-    code_text = words[0] if words else ""
-    coded = bool(_HEX_WORD.match(code_text)) and len(code_text) <= 2
+    coded = is_hex and len(code_text) <= 2
     if kind.lower() == "r":
         raw_dlc = int(code_text, base) if coded and (base == 16 or code_text.isdecimal()) else 0
-        return _Event(frame._replace(remote=True, raw_dlc=raw_dlc), coded or len(words) > 1)
+        return _Event(frame._replace(remote=True, raw_dlc=raw_dlc), coded or bool(words))
     if not coded:
         raise ValueError("no length after d")
     if decimal and not code_text.isdecimal():
         raise ValueError(f"length {code_text} ; expected a decimal number as the header states")
     code = int(code_text, base)
-    data = leading_bytes(words[1:], base)
+    data = leading_bytes(words, base)
     length, raw_dlc, fd, remark = code, 0, False, ""
     if code > 8 and len(data) <= 8:
         length, raw_dlc = 8, code
@@ -153,7 +149,7 @@ def _classic(match: re.Match[str], decimal: bool) -> _Event:
         fd, remark = True, "classic lines with more than 8 bytes were read as CAN FD"
     if len(data) != length or code > 64:
         raise ValueError(f"{len(data)} bytes of data; expected {code_text}")
-    whole = not decimal or len(words) > 1 + length
+    whole = not decimal or len(words) > length
     return _Event(frame._replace(data=data, fd=fd, raw_dlc=raw_dlc), whole, remark)
 
 
@@ -192,10 +188,8 @@ class AscReader(TextReader):
     _decimal = _deltas = False
     _origin_ns = _last_ns = 0
     _block_ns: int | None = None
-    _measuring = False
-    """A line with a time came after the latest date."""
-    _further = False
-    """The header of a second measurement came: logs were joined."""
+    _measuring = False  # a line with a time came after the latest date
+    _further = False  # the header of a second measurement came: logs were joined
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         """Return the frames if the header came before and has hex numbers and plain times."""
@@ -241,14 +235,10 @@ class AscReader(TextReader):
         return event.frame._replace(time_ns=self._origin_ns + time_ns)
 
     def _header(self, text: str, number: int) -> None:
-        """Take in a line without a time.
-
-        Raises ValueError if it is no header, InputError for one without which no line can be read.
-        """
+        """Take in a line without a time. Raises ValueError if it is no header, InputError if it is broken."""
         report = self._report
         if text.startswith("//"):
-            origin = re.match(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z", text)
-            if origin:
+            if origin := re.match(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z", text):
                 self._origin_ns = parse_decimal_ns(origin[1])
                 report.time_base = "absolute"
                 report.notes[:] = [note for note in report.notes if note != ZONE_NOTE]
@@ -257,19 +247,17 @@ class AscReader(TextReader):
         if word in ("base", "timestamps"):
             rest = text.lower() if word == "timestamps" else rest
             events = r"(?:\s*(?:no\s+)?internal events logged)?"
-            pattern = (
-                rf"(?:\s*(hex|dec))?{events}(?:\s*timestamps\s+(absolute|relative))?{events}\s*"
-            )
-            stated = re.fullmatch(pattern, rest)
+            times = r"(?:\s*timestamps\s+(absolute|relative))?"
+            stated = re.fullmatch(rf"(?:\s*(hex|dec))?{events}{times}{events}\s*", rest)
             if stated is None or not (stated[1] or word == "timestamps"):
                 expected = "base hex|dec  timestamps absolute|relative"
                 raise InputError(
                     f"{report.path}: line {number}: {text[:60]!r}; expected {expected}"
                 )
-            self._decimal = stated[1] == "dec" if stated[1] else self._decimal
-            self._deltas = (
-                stated[2] == "relative" if stated[2] else word == "timestamps" and self._deltas
-            )
+            if stated[1]:
+                self._decimal = stated[1] == "dec"
+            if stated[2] or word == "base":
+                self._deltas = stated[2] == "relative"
             report.time_base = "delta" if self._deltas else report.time_base
             return
         if word == "date":
@@ -281,8 +269,7 @@ class AscReader(TextReader):
                 self._measuring, self._further, self._last_ns = False, True, 0
             self._count_from(start_ns, number)
             return
-        block = re.match(r"begin\s+triggerblock\b(.*)\Z", text, re.IGNORECASE)
-        if block:
+        if block := re.match(r"begin\s+triggerblock\b(.*)\Z", text, re.IGNORECASE):
             self._block_ns = parse_date(block[1])
         elif not re.match(
             r"(?:(?:no\s+)?internal\s+events\s+logged|end\s+triggerblock)\s*\Z", text, re.IGNORECASE

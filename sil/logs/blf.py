@@ -54,7 +54,7 @@ class BlfReader:
     def _objects(self, data: bytes, offset: int, container: int = 0) -> Generator[Batch, None, int]:
         """Yield the frames in data; return where the last object begins if it is not whole.
 
-        offset: of the data in the file. container: that of the container that the data are from; 0: they are from none.
+        offset: of the data in the file; container: of the container that they are from, 0 for none.
         """
         frames: list[LogFrame] = []
         locations: list[int] = []
@@ -94,7 +94,7 @@ class BlfReader:
                 frames, locations = [], []
                 yield from self._inside(body, location)
             elif kind not in layout.FRAME_LAYOUTS:
-                self._report.other[layout.name_of(kind)] += 1
+                self._report.other[layout.OTHER_TYPES.get(kind, f"BLF object of type {kind}")] += 1
             else:
                 try:
                     frames.append(self._read(kind, version, header_size, body))

@@ -29,8 +29,7 @@ OBJECT: Final = struct.Struct("<4sHHLL")
 
 TIMES_V1: Final = struct.Struct("<LHHQ")
 TIMES_V2: Final = struct.Struct("<LBxHQ8x")
-CONTAINER: Final = struct.Struct("<H6xL4x")
-"""Compression method, unpacked size."""
+CONTAINER: Final = struct.Struct("<H6xL4x")  # compression method, unpacked size
 
 
 class ObjectType(IntEnum):
@@ -56,7 +55,7 @@ _PLAIN_HEADERS: Final = frozenset(
 EXTENDED: Final = 0x80000000
 REMOTE: Final = 0x80
 
-_OTHER_TYPES: Final = {
+OTHER_TYPES: Final = {
     **dict.fromkeys((*range(11, 21), *range(54, 64), 75), "LIN event"),
     3: "overload frame",
     4: "bus statistics",
@@ -142,11 +141,6 @@ def next_object(data: bytes, pos: int) -> int:
             return pos
         pos += 4
     return len(data) - next((n for n in (3, 2, 1) if data.endswith(b"LOBJ"[:n])), 0)
-
-
-def name_of(kind: int) -> str:
-    """Return the name of objects that are no CAN frames."""
-    return _OTHER_TYPES.get(kind, f"BLF object of type {kind}")
 
 
 def frame_of(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame:

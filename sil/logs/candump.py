@@ -47,10 +47,7 @@ _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
 
 
 class Parsed(NamedTuple):
-    """The frame of a line (at time 0 if the line has no time), and what else the line states.
-
-    has_length: the line itself states how many bytes of data there are.
-    """
+    """The frame of a line, at 0 if it is not timed, and whether it states how many bytes of data it has."""
 
     frame: LogFrame
     timed: bool
@@ -58,10 +55,7 @@ class Parsed(NamedTuple):
 
 
 def parse_line(text: str) -> Parsed:
-    """Parse one line.
-
-    Raises NotAFrame for a known line that is no frame; ValueError with what is broken.
-    """
+    """Parse one line. Raises NotAFrame for a known line that is no frame; ValueError with what is broken."""
     if "\x1b" in text:
         text = re.sub(r"\x1b\[[0-9;]*m", "", text)
     line = text.strip()
@@ -72,10 +66,8 @@ def parse_line(text: str) -> Parsed:
     if dropped := _DROPPED.match(line):
         raise NotAFrame("frame dropped by the recorder", int(dropped[1][:9]))
     timed = _TIME.match(line)
-    time_ns = 0
-    if timed:
-        time_ns = _time(timed[1])
-        line = line[timed.end() :]
+    time_ns = _time(timed[1]) if timed else 0
+    line = line[timed.end() :] if timed else line
     for pattern, parse in ((_COMPACT, _compact), (_SCREEN, _screen), (_TRUCKDEVIL, _truckdevil)):
         if match := pattern.match(line):
             frame, has_length = parse(match)
@@ -177,11 +169,10 @@ def _truckdevil(match: re.Match[str]) -> tuple[LogFrame, bool]:
 
 
 def surely_whole(parsed: Parsed, earlier: Sequence[LogFrame]) -> bool:
-    """Return whether a last line without a line end can be taken for whole.
+    """Return whether a last line without a line end, which may be cut within its data, is surely whole.
 
-    A cut can shorten data without a trace. A line is whole if it states its length, has as many
-    bytes as there can be, or the last frame of the same identifier was as long; and if it has a
-    direction where the others have one.
+    It states its length, has as many bytes as there can be, or as the last frame of its identifier;
+    and it has a direction where the others have one.
     """
     frame = parsed.frame
     if earlier and earlier[-1].direction and not frame.direction:
@@ -250,10 +241,8 @@ class CandumpReader(TextReader):
             yield from map(self._with_times, chain((start,), batches))
 
     def _quick(self, chunk: Chunk) -> Batch | None:
-        if self._timed is False:
-            return None
         count = chunk.text.count("\n")
-        frames = plain_frames(chunk.text, count)
+        frames = None if self._timed is False else plain_frames(chunk.text, count)
         if frames is None:
             return None
         self._timed = True
@@ -303,8 +292,7 @@ class CandumpReader(TextReader):
 def look_like_deltas(frames: list[LogFrame]) -> bool:
     """Return whether times are differences (`candump -t d`) and not counted from zero (`-t z`).
 
-    Both begin at 0.  Differences fall in at least a fifth of the steps, or are all the same;
-    a clock does neither.
+    Both begin at 0; differences fall in at least a fifth of the steps, or are all the same.
     """
     times = [frame.time_ns for frame in frames]
     if len(times) < 3 or times[0] != 0:
@@ -361,11 +349,11 @@ class CandumpWriter(TextWriter):
     def _special(self, frame: LogFrame, digits: str) -> str:
         if frame.error:
             self.lose(frame.extended or frame.remote or frame.fd, "flags of an error frame")
-            if not frame.can_id and not frame.data:
-                self.losses["error frame without a class written as a bus error"] += 1
-                can_err_buserror = 0x80
-                return f"{_ERROR_FLAG | can_err_buserror:08X}#{bytes(8).hex()}"
-            return f"{_ERROR_FLAG | frame.can_id:08X}#{frame.data.hex().upper()}"
+            if frame.can_id or frame.data:
+                return f"{_ERROR_FLAG | frame.can_id:08X}#{frame.data.hex().upper()}"
+            self.lose(True, "error frame without a class written as a bus error")
+            can_err_buserror = 0x80
+            return f"{_ERROR_FLAG | can_err_buserror:08X}#{bytes(8).hex()}"
         if frame.remote:
             self.lose(frame.fd, "CAN FD flag of a remote frame")
             length = min(frame.raw_dlc, 8)

@@ -71,23 +71,21 @@ def convert(
     appears only when it is complete. `how`: the log is read.
     Raises InputError for what cannot be read (with `strict` also for anything broken) or written.
     """
-    sources = [src] if isinstance(src, (str, os.PathLike)) else list(src)
+    sources = [src] if isinstance(src, (str, os.PathLike)) else src
     names, target = [os.fspath(source) for source in sources], os.fspath(dst)
     for source in names:
         if os.path.exists(target) and os.path.exists(source) and os.path.samefile(source, target):
             raise InputError(f"{target}: is the source itself; expected another name")
     name = ", ".join(names)
-    if how.get("format") is None and len(names) == 1 and os.path.isfile(name):
-        signals = _signals(name, target)
-        if signals is not None:
-            return ConvertReport(name, target, signals=signals, written=signals.rows)
+    is_single = how.get("format") is None and len(names) == 1 and os.path.isfile(name)
+    if is_single and (signals := _signals(name, target)):
+        return ConvertReport(name, target, signals=signals, written=signals.rows)
     log = open_logs(names, **how)
     with open_writer(target, format=target_format) as writer:
         for frame in log:
             writer.write(frame)
-    return ConvertReport(
-        name, target, log.report, writer.format, writer.frames, dict(writer.losses)
-    )
+    losses = dict(writer.losses)
+    return ConvertReport(name, target, log.report, writer.format, writer.frames, losses)
 
 
 def _signals(source: str, target: str) -> TraceReport | None:

@@ -61,22 +61,14 @@ Column = tuple[str, Callable[[str], Any]]
 class Dialect(NamedTuple):
     """The table of one tool: how its header begins, and what its columns are.
 
-    columns: the field of a frame that each column holds, and how its text is read. The time comes
-    first, `data` last; `length` is the number of data bytes, `dlc` the code on the wire.
+    columns: time first, `data` last; `length` is the number of data bytes, `dlc` the code on the wire.
+    spread: each byte of the data has a column of its own.
     """
 
     header: str
     columns: tuple[Column, ...]
-
-    @property
-    def separator(self) -> str:
-        """What is between two columns."""
-        return ";" if ";" in self.header else ","
-
-    @property
-    def spread(self) -> bool:
-        """Whether each byte of the data has a column of its own."""
-        return self.header.endswith(",d1")
+    separator: str
+    spread: bool
 
 
 _COLUMNS: Final[dict[str, Column]] = {
@@ -98,7 +90,12 @@ _COLUMNS: Final[dict[str, Column]] = {
 
 _CSS_HEADER: Final = "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;{}databytes"
 DIALECTS: Final = tuple(
-    Dialect(header, tuple(map(_COLUMNS.__getitem__, columns.split())))
+    Dialect(
+        header,
+        tuple(map(_COLUMNS.__getitem__, columns.split())),
+        separator=";" if ";" in header else ",",
+        spread=header.endswith(",d1"),
+    )
     for header, columns in (
         (OUR_HEADER, "seconds channel direction id extended remote error fd brs esi dlc data"),
         (
@@ -128,15 +125,11 @@ def _dialect(header: str) -> Dialect | None:
     return None
 
 
-class _Middle(NamedTuple):
-    """What the words of a row between time and data say: a frame without both, its data length."""
-
-    frame: LogFrame
-    length: int
+_Middle = tuple[LogFrame, int]  # a frame without time and data, and the length of its data
 
 
 def _middle(columns: tuple[Column, ...], words: list[str]) -> _Middle:
-    """Return what words say. Raises ValueError for a broken one."""
+    """Return what the words between time and data say. Raises ValueError for a broken one."""
     row: dict[str, Any] = {
         name: read(word.strip()) for (name, read), word in zip(columns, words, strict=True)
     }
@@ -149,15 +142,16 @@ def _middle(columns: tuple[Column, ...], words: list[str]) -> _Middle:
         row["raw_dlc"] = length if dlc is None else dlc
     elif dlc is not None and dlc > 8 and not fd:
         row["raw_dlc"] = dlc
-    return _Middle(LogFrame(0, **row), length)
+    return LogFrame(0, **row), length
 
 
 class CsvReader(TextReader):
     """State of one reading: the dialect, once the header is read."""
 
+    _dialect: Dialect | None = None
+
     def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
         super().__init__(source, report, times)
-        self._dialect: Dialect | None = None
         self._rows: dict[tuple[str, ...], _Middle] = {}
 
     def __iter__(self) -> Iterator[Batch]:
@@ -181,7 +175,6 @@ class CsvReader(TextReader):
         return self._frame(self._dialect, line.text)
 
     def _frame(self, dialect: Dialect, text: str) -> LogFrame:
-        """Return the frame of a row. Raises ValueError for a broken one."""
         last = len(dialect.columns) - 1
         words = text.split(dialect.separator, last)
         if dialect.spread:
@@ -191,8 +184,7 @@ class CsvReader(TextReader):
             count = text.count(dialect.separator) + 1
             raise ValueError(f"{count} columns; expected {last + 1} as in the header")
         key = tuple(words[1:last])
-        middle = self._rows.get(key)
-        if middle is None:
+        if (middle := self._rows.get(key)) is None:
             middle = _middle(dialect.columns[1:last], words[1:last])
             if len(self._rows) < 1 << 14:
                 self._rows[key] = middle

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from can_dbc.errors import InputError
 from sil.logs.frame import LogFrame, frame_problem, ordinary_frame
 from sil.logs.report import Location, LogReport
-from sil.logs.source import ByteSource, Chunk, Line, chunk_lines, chunks, line_at
+from sil.logs.source import ByteSource, Chunk, Line, chunk_lines, chunks
 from sil.logs.times import RELATIVE_BELOW_NS
 from sil.logs.writer import LogWriter
 
@@ -63,8 +63,7 @@ class NotAFrame(Exception):
 class TextReader(ABC):
     """Reads a log of lines; a format says how a line becomes a frame."""
 
-    time_base = "absolute"
-    """What the times of a log are until its lines say otherwise."""
+    time_base = "absolute"  # what the times of a log are until its lines say otherwise
 
     def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
         self._source = source
@@ -88,16 +87,15 @@ class TextReader(ABC):
     def _line(self, line: Line) -> LogFrame | None:
         """Return the frame of a line, None for one that counts for nothing.
 
-        A frame that no bus can carry is refused by the caller. Raises NotAFrame for what is known
-        and no frame, ValueError for a broken line, InputError where nothing after it can be read.
+        Raises NotAFrame for what is known and no frame, ValueError for a broken line, InputError
+        where nothing after it can be read.
         """
 
     def _each_line(self, chunk: Chunk) -> Batch:
         frames: list[LogFrame] = []
         locations: list[int] = []
         for line in chunk_lines(chunk):
-            frame = self._guarded(line)
-            if frame is not None:
+            if (frame := self._guarded(line)) is not None:
                 frames.append(frame)
                 locations.append(line.number)
         return Batch(frames, locations)
@@ -132,6 +130,7 @@ class TextReader(ABC):
         """
         frames: list[LogFrame] = []
         locations: list[int] = []
+        lines: Sequence[Line] = ()
         ids = self._ids
         scale = [unit_ns // 10**decimals for decimals in range(10)]
         for index, words in enumerate(pattern.findall(chunk.text[:-1])):
@@ -141,7 +140,8 @@ class TextReader(ABC):
             if identity is None or len(payload) != int(code):
                 if not whole and not other:
                     continue
-                frame = self._guarded(line_at(chunk, index))
+                lines = lines or list(chunk_lines(chunk))
+                frame = self._guarded(lines[index])
                 if frame is None:
                     continue
                 if whole and len(ids) < 100_000:

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Sequence, Set
 from itertools import compress
 from operator import not_
 from typing import Final, NamedTuple
 
-from can_dbc.errors import InputError
 from can_dbc.frame import MAX_ID
 
 DLC_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Bytes of data by CAN FD data length code (ISO 11898-1)."""
-
-LENGTH_DLC: Final = tuple(
-    next(code for code, length in enumerate(DLC_LENGTHS) if length >= wanted)
-    for wanted in range(65)
-)
-"""Smallest CAN FD data length code that holds so many bytes."""
 
 MAX_STANDARD_ID: Final = 0x7FF
 MAX_TIME_NS: Final = 2**63 - 1
@@ -55,9 +49,11 @@ class LogFrame(NamedTuple):
     @property
     def dlc(self) -> int:
         """Data length code 0..15 as on the wire."""
-        if self.remote:
-            return self.raw_dlc
-        return self.raw_dlc or LENGTH_DLC[len(self.data)]
+        return (
+            self.raw_dlc
+            if self.remote
+            else self.raw_dlc or bisect_left(DLC_LENGTHS, len(self.data))
+        )
 
 
 def ordinary_frame(
@@ -112,13 +108,3 @@ def frame_problem(frame: LogFrame) -> str | None:
     elif frame.raw_dlc and not frame.remote and (frame.fd or length != 8 or frame.raw_dlc < 9):
         problem = f"raw length code {frame.raw_dlc} with {length} bytes"
     return problem
-
-
-def require_possible(frame: LogFrame, location: str) -> None:
-    """Refuse a frame that no CAN bus can carry.
-
-    Raises InputError that names `location` and what is wrong.
-    """
-    problem = frame_problem(frame)
-    if problem is not None:
-        raise InputError(f"{location}: {problem}; expected a CAN frame")

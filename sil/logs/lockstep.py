@@ -18,8 +18,7 @@ from sil.logs.report import LogReport
 class LockstepFilter:
     """Reduces the capture of a lockstep run to the frames delivered, at their simulated time.
 
-    What it leaves out is counted in the report. A log in which no BusTime is followed by
-    its frame passes unchanged.
+    A log in which no BusTime is followed by its frame passes unchanged.
     """
 
     def __init__(self, report: LogReport) -> None:
@@ -32,9 +31,8 @@ class LockstepFilter:
     def take(self, batch: Batch) -> Batch:
         """Return the batch without the frames of the protocol."""
         if not self._active:
-            if not any(
-                can_id & PAGE_BITS == PAGE_BITS for can_id in {frame[1] for frame in batch.frames}
-            ):
+            ids = {frame[1] for frame in batch.frames}
+            if not any(can_id & PAGE_BITS == PAGE_BITS for can_id in ids):
                 return batch
             self._load_contract()
             self._active = any(
@@ -44,14 +42,9 @@ class LockstepFilter:
             if not self._active:
                 return batch
             self._report.time_base = "relative"
-        frames: list[LogFrame] = []
-        locations: list[int] = []
-        for frame, location in zip(batch.frames, batch.locations, strict=True):
-            delivered = self._delivered(frame)
-            if delivered is not None:
-                frames.append(delivered)
-                locations.append(location)
-        return Batch(frames, locations)
+        pairs = zip(map(self._delivered, batch.frames), batch.locations, strict=True)
+        delivered = [(frame, location) for frame, location in pairs if frame is not None]
+        return Batch([frame for frame, _ in delivered], [location for _, location in delivered])
 
     def _load_contract(self) -> None:
         from can_dbc.contract import contract

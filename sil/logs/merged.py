@@ -61,8 +61,9 @@ class Logs:
         self._selection = selection
         self._show_progress = show_progress
         self._ready = False
-        self.repeated = 0
-        """Frames of the last reading that were in several files, and were taken once."""
+        self.repeated = (
+            0  # frames of the last reading that were in several files, and were taken once
+        )
 
     @property
     def path(self) -> str:
@@ -158,12 +159,14 @@ class Logs:
                 continue
             first_ns, last_ns = report.first_ns + part.offset_ns, report.last_ns + part.offset_ns
             line = f"{report.path}: {counted(report.frames, 'frame')}, {format_ns(first_ns)} s to {format_ns(last_ns)} s"
-            if end_ns is not None and first_ns > end_ns:
+            if end_ns is None:
+                end_ns = last_ns
+            elif first_ns > end_ns:
                 line += f", after a gap of {(first_ns - end_ns) / NS_PER_S:.6f} s"
-            elif end_ns is not None:
+            else:
                 line += f", overlaps by {(min(end_ns, last_ns) - first_ns) / NS_PER_S:.6f} s"
             yield line
-            end_ns = last_ns if end_ns is None else max(end_ns, last_ns)
+            end_ns = max(end_ns, last_ns)
         if self.repeated:
             yield f"{self.repeated} frames are in several files and were taken once"
 
@@ -174,15 +177,14 @@ class Logs:
         with Progress(f"reading {self.path[:60]}", "MB") as progress:
             for block in blocks:
                 passed = sum(reader.passed_bytes for reader in readers)
-                progress(passed / 1e6, sum(r.size for r in readers) / 1e6)
+                progress(passed / 1e6, sum(reader.size for reader in readers) / 1e6)
                 yield block
 
 
 class Reading(TypedDict, total=False):
     """How logs are read; format, strict and times as in `open_log`."""
 
-    selection: Selection
-    """The frames that are wanted [all]."""
+    selection: Selection  # the frames that are wanted [all]
     format: str | None
     strict: bool
     times: str
@@ -191,19 +193,9 @@ class Reading(TypedDict, total=False):
 
 
 def open_logs(paths: Sequence[str | os.PathLike[str]], **how: Unpack[Reading]) -> Logs:
-    """Open recorded CAN logs as one, ordered by time.
+    """Open one or several recorded CAN logs as one, ordered by time; "-" is standard input.
 
-    Parameters
-    ----------
-    paths
-        One or several logs; "-" is standard input.
-    **how
-        See `Reading`.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be opened or is no log.
+    Raises InputError if a file cannot be opened or is no log.
     """
     names = [os.fspath(path) for path in paths]
     if len(set(names)) < len(names):

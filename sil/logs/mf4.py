@@ -3,7 +3,6 @@
 asammdf is optional (the extra `mdf`) and slow to import: it is imported when an MF4 is read or
 written. A measurement is in memory as a whole. What asammdf cannot read is refused with the number
 of frames reached.
-Checked by: tests/unit/sil/logs/test_mf4.py, tests/contracts/test_log_formats.py
 """
 
 from __future__ import annotations

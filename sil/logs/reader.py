@@ -52,10 +52,7 @@ class LogReader:
         return chain.from_iterable(self.blocks())
 
     def blocks(self) -> Iterator[list[LogFrame]]:
-        """Begin a reading; yield the frames some hundreds at a time.
-
-        Raises InputError as iteration does.
-        """
+        """Begin a reading; yield the frames some hundreds at a time. Raises InputError as iteration does."""
         report = self.report = LogReport(self.path, self.format, strict=self._strict)
         lockstep = LockstepFilter(report)
         watch = _Watch(report, self._format.location)
@@ -74,9 +71,7 @@ class LogReader:
         if report.frames or report.lockstep:
             return
         if report.skipped or report.truncated:
-            first = (
-                str(report.skipped_locations[0]) if report.skipped_locations else report.notes[0]
-            )
+            first = next(iter(report.skipped_locations), report.notes[0] if report.notes else "")
             raise InputError(
                 f"{self.path}: {first}; no CAN frame found, expected a log of format {self.format}"
             )

@@ -36,16 +36,6 @@ _FOREIGN: Final = (
 """Formats that are not read: how their files begin, what they are, and what converts them."""
 
 
-def _refuse_foreign(path: str, head: bytes) -> None:
-    """Refuse a log of a known format that is not read. Raises InputError that says what converts it."""
-    for pattern, name, converter in _FOREIGN:
-        if re.search(pattern, head[:4096]):
-            raise InputError(
-                f"{path}: is {name}, which is not read; expected one of {', '.join(FORMATS)}: "
-                f"convert it with {converter}"
-            )
-
-
 def _format_named(name: str) -> Format:
     if name not in FORMATS:
         raise InputError(f"log format: {name!r} is unknown; expected one of {', '.join(FORMATS)}")
@@ -65,39 +55,32 @@ def open_log(
     strict: bool = False,
     times: str = "auto",
 ) -> LogReader:
-    """Open a recorded CAN log for reading.
+    """Open a recorded CAN log for reading, plain or gzipped.
 
-    Parameters
-    ----------
-    path
-        The log; gzipped ones are unpacked.
-    format
-        One of `FORMATS`; None: the one that the file's content, else its name, stands for.
-    strict
-        Refuse what is otherwise skipped and counted.
-    times
-        For candump logs: "delta" if the times are differences from line to line, "recorded" if
-        they are not; "auto" finds out.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened or is no log.
+    format: one of `FORMATS`; None: the one that the file's content, else its name, stands for.
+    strict: refuse what is otherwise skipped and counted. times: of candump logs, "delta" if they are
+    differences from line to line, "recorded" if they are not; "auto" finds out.
+    Raises InputError if the file cannot be opened or is no log.
     """
     name = os.fspath(path)
     if times not in ("auto", "delta", "recorded"):
         raise InputError(f"{name}: times {times!r}; expected auto, delta or recorded")
-    log_format = None if format is None else _format_named(format)
+    log_format = format and _format_named(format)
     copy = copy_of_stream(name)
     source = ByteSource(name, LogReport(name, "unknown"), copy.name if copy else None)
     source.close()
-    if log_format is None:
+    if not log_format:
         recognised = (one for one in FORMATS.values() if one.recognise(source.head))
         log_format = next(recognised, None)
-    if log_format is None:
-        _refuse_foreign(name, source.head)
+    if not log_format:
+        for pattern, foreign, converter in _FOREIGN:
+            if re.search(pattern, source.head[:4096]):
+                raise InputError(
+                    f"{name}: is {foreign}, which is not read; expected one of {', '.join(FORMATS)}: "
+                    f"convert it with {converter}"
+                )
         log_format = _format_of_name(name)
-    if log_format is None:
+    if not log_format:
         raise InputError(
             f"{name}: neither content nor name is that of a log; expected one of "
             f"{', '.join(FORMATS)}"
@@ -106,19 +89,10 @@ def open_log(
 
 
 def open_writer(path: str | os.PathLike[str], *, format: str | None = None) -> LogWriter:
-    """Open a new log for writing; the file appears when the writer is closed.
+    """Open a new log for writing, gzipped if its name ends in .gz; it appears when the writer is closed.
 
-    Parameters
-    ----------
-    path
-        The new log; with .gz at its end it is gzipped.
-    format
-        One of `FORMATS`; None: the one of the name's suffix.
-
-    Raises
-    ------
-    InputError
-        If the suffix is unknown or the file cannot be written.
+    format: one of `FORMATS`; None: the one of the name's suffix. Raises InputError if the suffix is
+    unknown or the file cannot be written.
     """
     name = os.fspath(path)
     log_format = _format_of_name(name) if format is None else _format_named(format)

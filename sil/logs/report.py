@@ -11,18 +11,14 @@ from typing import Any, Final
 from can_dbc.errors import InputError
 from sil.files.quantity import counted
 
-MOST_LOCATIONS: Final = 10
-"""Locations of each kind that a report holds; all of them are counted."""
+MOST_LOCATIONS: Final = 10  # locations of each kind that a report holds; all of them are counted
 
 
 _CUT: Final = "cut off at"
 
 
 def printable(text: str) -> str:
-    """Return text out of a file, fit for a message of one line.
-
-    Logs are read as Latin-1, so that every byte is a character; UTF-8 in them is shown as such.
-    """
+    """Return text out of a file, read as Latin-1, fit for a message of one line; UTF-8 is shown as such."""
     text = re.sub(r"(?:[\x80-\xff]|\\x[89a-f][0-9a-f])+", _as_utf8, text)
     return "".join(character if character.isprintable() else "?" for character in text)
 
@@ -42,8 +38,7 @@ class Location:
     reason: str
     line: int | None = None
     byte: int | None = None
-    path: str = ""
-    """Only where several files are read as one log."""
+    path: str = ""  # only where several files are read as one log
 
     def __str__(self) -> str:
         line = None if self.line is None else f"line {self.line}"
@@ -153,8 +148,9 @@ class LogReport:
     def faults(self) -> str:
         """What is not whole, in one line; empty if it is `clean`."""
         parts = [note for note in self.notes if self.truncated and _CUT in note]
-        for title, count, locations in self._broken():
-            parts.append(f"{title}: {count}, the first {locations[0]}")
+        parts += [
+            f"{what}: {count}, the first {places[0]}" for what, count, places in self._broken()
+        ]
         return "; ".join(parts)
 
     def _broken(self) -> Iterator[tuple[str, int, Sequence[object]]]:
@@ -177,9 +173,7 @@ class LogReport:
         """Return all of it as plain JSON values."""
         values = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "strict"}
         for name in ("skipped", "backwards", "duplicate"):
-            values[f"{name}_places"] = [
-                str(location) for location in values.pop(f"{name}_locations")
-            ]
+            values[f"{name}_places"] = list(map(str, values.pop(f"{name}_locations")))
         return values
 
     def lines(self) -> list[str]:

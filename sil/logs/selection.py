@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain
@@ -71,8 +72,7 @@ class Selection:
         low_ns = self._bound(self.since_ns, first[0].time_ns, -MAX_TIME_NS)
         high_ns = self._bound(self.until_ns, first[0].time_ns, MAX_TIME_NS)
         timed = self.since_ns is not None or self.until_ns is not None
-        for block in chain((first,), blocks):
-            frames = block
+        for frames in chain((first,), blocks):
             if timed:
                 frames = [frame for frame in frames if low_ns <= frame[0] <= high_ns]
             if self.channels:
@@ -102,22 +102,17 @@ def _words(texts: Sequence[str]) -> list[str]:
 
 
 def _time(option: str, text: str) -> int:
+    with suppress(ValueError):
+        return parse_decimal_ns(text)
     try:
         moment = datetime.fromisoformat(text)
-    except ValueError:
-        pass
-    else:
-        if not text.isdecimal():
-            moment = moment.replace(tzinfo=moment.tzinfo or UTC).astimezone(UTC)
-            whole_ns = utc_ns(*moment.timetuple()[:6])
-            return whole_ns + moment.microsecond * 1000
-    try:
-        return parse_decimal_ns(text)
     except ValueError:
         raise InputError(
             f"{option}: {text[:40]!r}; expected seconds from the first frame or from 1970, or a date "
             "such as 2026-01-31T12:00:00 (UTC)"
         ) from None
+    moment = moment.replace(tzinfo=moment.tzinfo or UTC).astimezone(UTC)
+    return utc_ns(*moment.timetuple()[:6], moment.microsecond * 1000)
 
 
 def _identifier(text: str) -> tuple[int, bool]:

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
+from itertools import chain
 from typing import BinaryIO, Final, NamedTuple
 
 from can_dbc.errors import InputError
@@ -67,9 +68,7 @@ class ByteSource:
                     raise InputError(f"{path}: is {name}; expected a log, plain or gzipped{hint}")
         except BaseException as error:
             self.file.close()
-            if isinstance(error, OSError):
-                raise self._unreadable(error) from None
-            raise
+            raise self._unreadable(error) if isinstance(error, OSError) else error from None
 
     def read(self, size: int, /) -> bytes:
         """Return up to `size` bytes, b"" at the end. Raises InputError if reading fails."""
@@ -124,10 +123,7 @@ def _standard_input() -> tempfile._TemporaryFileWrapper[bytes]:
 
 
 def copy_of_stream(path: str) -> tempfile._TemporaryFileWrapper[bytes] | None:
-    """Return a file with what standard input or a FIFO gave, since logs are read more than once.
-
-    None for other files.
-    """
+    """Return a file with what standard input or a FIFO gave: logs are read more than once; else None."""
     if path == STANDARD_INPUT:
         return _standard_input()
     if not os.path.exists(path) or not stat.S_ISFIFO(os.stat(path).st_mode):
@@ -213,15 +209,4 @@ def chunk_lines(chunk: Chunk) -> Iterator[Line]:
 
 def lines(stream: ByteSource | BinaryIO) -> Iterator[Line]:
     """Yield the lines of a stream."""
-    for chunk in chunks(stream):
-        yield from chunk_lines(chunk)
-
-
-def line_at(chunk: Chunk, index: int) -> Line:
-    """Return the line of a chunk at an index, counted from 0."""
-    begin = 0
-    for _ in range(index):
-        begin = chunk.text.index("\n", begin) + 1
-    end = chunk.text.index("\n", begin)
-    text = chunk.text[begin:end].removesuffix("\r")
-    return Line(text, chunk.line + index, chunk.byte + begin, chunk.unterminated)
+    return chain.from_iterable(map(chunk_lines, chunks(stream)))

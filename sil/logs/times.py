@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import calendar
 import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -20,10 +19,7 @@ _EXACTLY: Final = Context(prec=200, rounding=ROUND_HALF_UP)
 
 
 def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
-    """Return a decimal number of seconds (or of `unit_ns`) in nanoseconds, rounded half up.
-
-    Raises ValueError if it is no decimal number or out of the 64-bit range.
-    """
+    """Return a decimal number of `unit_ns` in ns, rounded half up. Raises ValueError for another text."""
     try:
         if not _NUMBER.match(text):
             raise InvalidOperation
@@ -36,10 +32,7 @@ def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
 
 
 def format_ns(time_ns: int, decimals: int | None = None) -> str:
-    """Write nanoseconds as seconds: 6 decimals when that is exact, else 9 (or `decimals`).
-
-    With fewer decimals than needed the time is rounded half up.
-    """
+    """Write nanoseconds as seconds: 6 decimals when that is exact, else 9 (or `decimals`, rounded)."""
     if decimals is None:
         decimals = 9 if time_ns % 1000 else 6
     sign = "-" if time_ns < 0 else ""
@@ -62,14 +55,11 @@ def utc_ns(
     Raises ValueError for a date that does not exist.
     """
     moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    return calendar.timegm(moment.timetuple()) * NS_PER_S + ns
+    return int(moment.timestamp()) * NS_PER_S + ns
 
 
 def utc_calendar(time_ns: int) -> datetime:
-    """Return the UTC calendar time of nanoseconds since 1970, the fraction of a second dropped.
-
-    Raises ValueError or OverflowError outside of the years 1 to 9999.
-    """
+    """Return the UTC calendar time of nanoseconds since 1970, the fraction of a second dropped."""
     return datetime.fromtimestamp(time_ns // NS_PER_S, UTC)
 
 
@@ -87,20 +77,17 @@ def parse_date(text: str) -> int | None:
     )
     if match is None:
         return None
-    name = match[1].lower()
-    german = {"mär": 3, "mrz": 3, "mai": 5, "maj": 5, "okt": 10, "dez": 12}
-    month = _MONTHS.index(name) + 1 if name in _MONTHS else german.get(name, 0)
-    hour = int(match[3])
-    half = (match[7] or "").lower()
+    name, day, hour_text, minute, second, fraction, half, year = match.groups()
+    months = dict(zip(_MONTHS, range(1, 13), strict=True))
+    months |= {"mär": 3, "mrz": 3, "mai": 5, "maj": 5, "okt": 10, "dez": 12}
+    hour = int(hour_text)
+    if half and not 1 <= hour <= 12:
+        return None
     if half:
-        if not 1 <= hour <= 12:
-            return None
-        hour = hour % 12 + (12 if half == "pm" else 0)
-    nanoseconds = int((match[6] or "0").ljust(9, "0"))
+        hour = hour % 12 + (12 if half.lower() == "pm" else 0)
+    date = int(year), months.get(name.lower(), 0), int(day)
     try:
-        return utc_ns(
-            int(match[8]), month, int(match[2]), hour, int(match[4]), int(match[5]), nanoseconds
-        )
+        return utc_ns(*date, hour, int(minute), int(second), int((fraction or "0").ljust(9, "0")))
     except (ValueError, OverflowError):
         return None
 

@@ -55,11 +55,6 @@ class TraceReport:
     units: tuple[str, ...]
 
 
-def _unit(name: str) -> str:
-    """Return the unit that a name ends in, as MDF tools write it, e.g. N·s; "" for none."""
-    return unit_of(name).replace(" ", "·")
-
-
 def comment_of(name: str) -> str:
     """Return what a signal of a trace or a campaign is, "" for one of neither."""
     if name in _COMMENTS:
@@ -147,9 +142,10 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
                 f"{source}: line 1: column {name[:40]!r}; expected distinct names of signals"
             )
     times_s, *columns = (np.ascontiguousarray(column) for column in _table(source, names).T)
+    units = [unit_of(name).replace(" ", "·") for name in names[1:]]  # as MDF tools write them: N·s
     signals = [
-        asammdf.Signal(column, times_s, name=name, unit=_unit(name), comment=comment_of(name))
-        for name, column in zip(names[1:], columns, strict=True)
+        asammdf.Signal(column, times_s, name=name, unit=unit, comment=comment_of(name))
+        for name, unit, column in zip(names[1:], units, columns, strict=True)
     ]
     measurement = new_measurement(target, 0)
     try:
@@ -158,7 +154,7 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
             save(measurement, file)
     finally:
         measurement.close()
-    return TraceReport(len(times_s), tuple(names[1:]), tuple(map(_unit, names[1:])))
+    return TraceReport(len(times_s), tuple(names[1:]), tuple(units))
 
 
 def holds_signals_only(path: str) -> bool:

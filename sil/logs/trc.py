@@ -26,8 +26,7 @@ from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, 
 from sil.logs.writer import TextWriter
 
 _DAY_NS: Final = 86_400 * NS_PER_S
-_EPOCH_DAYS: Final = 25_569
-"""Days from 1899-12-30, where PEAK's times begin, to 1970-01-01."""
+_EPOCH_DAYS: Final = 25_569  # days from 1899-12-30, where PEAK's times begin, to 1970-01-01
 
 _VERSION_1: Final = re.compile(
     r"(\d+)\)\s+(\d+(?:\.\d+)?)\s+(?:(?:(\d{1,2})\s+)?(Rx|Tx|Warng|Error)\s+)?"
@@ -82,8 +81,7 @@ class TrcReader(TextReader):
             self._header(text, line.number)
             return None
         self._measuring = True
-        first = _VERSION_1.match(text)
-        if first:
+        if first := _VERSION_1.match(text):
             return self._version_1(first)
         if self._version.startswith("2"):
             return self._version_2(text)
@@ -116,8 +114,7 @@ class TrcReader(TextReader):
             report.note(ZONE_NOTE)
         elif self._version in ("", "1.0") or report.start_ns is None:
             date = r"(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
-            start = re.match(rf";\s*Start time:\s*{date}", text)
-            if start:
+            if start := re.match(rf";\s*Start time:\s*{date}", text):
                 day, month, year, hour, minute, second, milli = map(int, start.groups())
                 start_ns = utc_ns(year, month, day, hour, minute, second, milli * NS_PER_MS)
                 report.note(ZONE_NOTE)
@@ -129,11 +126,9 @@ class TrcReader(TextReader):
     def _time(self, text: str) -> int:
         """Milliseconds from the start as nanoseconds from 1970 or from the start."""
         offset_ns = parse_decimal_ns(text, NS_PER_MS)
-        if self._origin_ns is None:
-            if self._version not in ("", "1.0"):
-                self._report.note("no $STARTTIME: times are counted from the start of the log")
-            return offset_ns
-        return self._origin_ns + offset_ns
+        if self._origin_ns is None and self._version not in ("", "1.0"):
+            self._report.note("no $STARTTIME: times are counted from the start of the log")
+        return (self._origin_ns or 0) + offset_ns
 
     def _version_1(self, match: re.Match[str]) -> LogFrame:
         _, offset, bus, kind, digits, length_text, rest = match.groups()
@@ -141,15 +136,10 @@ class TrcReader(TextReader):
         if kind == "Warng" or (kind is None and digits == "FFFFFFFF"):
             raise NotAFrame("status line")
         remote = words[:1] == ["RTR"] and kind != "Error"
-        return self._built(
-            "ER" if kind == "Error" else "RR" if remote else "DT",
-            offset,
-            bus or "",
-            digits,
-            kind if kind in ("Rx", "Tx") else "",
-            int(length_text),
-            [] if remote else words,
-        )
+        type_name = "ER" if kind == "Error" else "RR" if remote else "DT"
+        direction = kind if kind in ("Rx", "Tx") else ""
+        length = int(length_text)
+        return self._built(type_name, offset, bus or "", digits, direction, length, words)
 
     def _version_2(self, text: str) -> LogFrame:
         columns = self._columns
@@ -180,16 +170,15 @@ class TrcReader(TextReader):
         length_text = column["L"] if coded else column["l"]
         if not (length_text.isdecimal() and int(length_text) <= (15 if coded else 64)):
             raise ValueError(f"length {length_text[:10]!r}")
-        is_hex = re.match(r"[0-9A-Fa-f]{1,8}\Z", digits)
-        if kind == "ER" and not is_hex:
+        if not re.match(r"[0-9A-Fa-f]{1,8}\Z", digits):
+            if kind != "ER":
+                raise ValueError(f"identifier {digits[:10]!r}")
             digits = "0"
-        elif not is_hex:
-            raise ValueError(f"identifier {digits[:10]!r}")
         length = int(length_text)
         if coded and kind in _FD_TYPES:
             length = DLC_LENGTHS[length]
-        words = [] if kind == "RR" else column["D"].split()
-        return self._built(kind, column["O"], bus, digits, column.get("d", ""), length, words)
+        words, direction = column["D"].split(), column.get("d", "")
+        return self._built(kind, column["O"], bus, digits, direction, length, words)
 
     def _built(
         self,
@@ -218,10 +207,7 @@ class TrcReader(TextReader):
 
 
 def _bytes(words: list[str], length: int) -> bytes:
-    """Return exactly `length` bytes; only `--` may follow.
-
-    Raises ValueError for fewer or other words.
-    """
+    """Return exactly `length` bytes; only `--` may follow. Raises ValueError for fewer or other words."""
     data = leading_bytes(words[:length])
     if len(data) != length:
         raise ValueError(f"no {length} bytes of data as stated")

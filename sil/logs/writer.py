@@ -13,7 +13,7 @@ from typing import BinaryIO, Self
 
 from can_dbc.errors import InputError
 from sil.files.atomic import NewFile
-from sil.logs.frame import LogFrame, all_ordinary, require_possible
+from sil.logs.frame import LogFrame, all_ordinary, frame_problem
 from sil.logs.source import refuse_special
 from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
 
@@ -28,17 +28,12 @@ class LogWriter(ABC):
     """
 
     format: str = ""
-    batch = 2048
-    """Frames that are written at once."""
+    batch = 2048  # frames that are written at once
 
-    patched = False
-    """The beginning of the file is written last, so that packing has to wait for it."""
+    patched = False  # the beginning of the file is written last, so that packing has to wait for it
 
     def __init__(self, path: str) -> None:
-        """Open a temporary file in the folder of `path`.
-
-        Raises InputError if that is not possible.
-        """
+        """Open a temporary file in the folder of `path`. Raises InputError if that is not possible."""
         self.path = path
         self._written = 0
         self.losses: Counter[str] = Counter()
@@ -72,11 +67,7 @@ class LogWriter(ABC):
         return self._written + len(self._held)
 
     def write(self, frame: LogFrame) -> None:
-        """Append one frame.
-
-        Raises InputError, now or when its batch is written, for a frame that no bus or this format
-        can carry.
-        """
+        """Append one frame. Raises InputError, now or with its batch, for one that cannot be written."""
         self._held.append(frame)
         if len(self._held) >= self.batch:
             self.flush()
@@ -88,7 +79,10 @@ class LogWriter(ABC):
         frames = self._held
         if not all_ordinary(frames, self._known_channels):
             for number, frame in enumerate(frames, self._written + 1):
-                require_possible(frame, f"{self.path}: frame {number}")
+                if problem := frame_problem(frame):
+                    raise InputError(
+                        f"{self.path}: frame {number}: {problem}; expected a CAN frame"
+                    )
                 self._known_channels.add(frame.channel)
         self._held = []
         try:
@@ -111,8 +105,7 @@ class LogWriter(ABC):
         """Write what comes before the first frames, which are given (none for an empty log)."""
 
     @abstractmethod
-    def _write_batch(self, frames: list[LogFrame]) -> None:
-        """Write frames, in order."""
+    def _write_batch(self, frames: list[LogFrame]) -> None: ...
 
     def _finish(self) -> None:  # noqa: B027 optional
         """Write what comes after the last frame."""
@@ -184,11 +177,9 @@ class LogWriter(ABC):
         return frame.data[:8]
 
     def channel_number(self, channel: str, lowest: int = 1) -> int:
-        """Return the number (`lowest`..255) that stands for a channel name.
+        """Return the number (`lowest`..255) of a channel name: its own, 1 for can0 and for none, else a free one.
 
-        A number is its own; can0, vcan0, ... become 1, as can-utils has it; a name whose
-        number is taken has the next free one. An unnamed channel is 1. Raises InputError if there
-        is none left.
+        Raises InputError if there is none left.
         """
         number = self.channel_numbers.get(channel)
         if number is not None:

@@ -19,8 +19,7 @@ from sil.coupling.faults import INTRUDER, Babbling, Intrusion, Replayed, Sent, S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.coupling.transports.channel import Participant, Received, Turn
 
-Released = list[tuple[int, Frame]]
-"""Frames with their release instants, ns."""
+Released = list[tuple[int, Frame]]  # frames with their release instants, ns
 
 TRAFFIC_WINDOW_NS = 10_000_000
 TRAFFIC_NODES = 16

@@ -1,8 +1,6 @@
 """What the firmware may conclude from the frames that it received.
 
 An independent receiver takes the same frames; a report is judged by what had arrived at its step.
-
-Checked by: tests/unit/sil/rules/test_inputs.py
 """
 
 from __future__ import annotations
@@ -51,10 +49,8 @@ class _Step:
 
     at_s: float
     status: ControllerStatus
-    arrived: list[Any]
-    """The messages that have been accepted since the report before."""
-    valid_s: float
-    """When the channel was valid last."""
+    arrived: list[Any]  # the messages that have been accepted since the report before
+    valid_s: float  # when the channel was valid last
 
 
 def _steps(record: RunRecord, circumstances: Circumstances, kind: Any) -> list[_Step]:

@@ -19,8 +19,7 @@ from sil.recording.run_record import RunRecord
 
 SENDER = "controller"
 
-REPORT_HOLDS_S = 0.05
-"""A status frame is valid for this long."""
+REPORT_HOLDS_S = 0.05  # a status frame is valid for this long
 
 
 def sent(record: RunRecord, kind: Any) -> Iterator[tuple[float, Any]]:

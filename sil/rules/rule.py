@@ -1,7 +1,4 @@
-"""A rule, what it is judged by, and where it was broken first.
-
-Checked by: tests/unit/sil/rules/test_rules.py
-"""
+"""A rule, what it is judged by, and where it was broken first."""
 
 from __future__ import annotations
 

@@ -6,8 +6,6 @@ frames repeated a whole round of the counter later (15 to 16 periods), or repeat
 is silent, pass as new. A report is then as old as the repetition; a coil is not held on by one
 repeated message, because the driver needs both commands and blows to be good. ETC2 carries the gear
 without protection, as in J1939, so reports are judged by the status frames.
-
-Checked by: tests/unit/sil/rules/test_rules.py, tests/faults/
 """
 
 from __future__ import annotations

@@ -18,8 +18,7 @@ from can_dbc.messages import ControllerStatus, ShiftState
 from plant.trace import trace_columns
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import NS_PER_S
-from sil.files.html_table import html_table
-from sil.files.quantity import counted, quantity
+from sil.files.quantity import counted, html_table, quantity
 from sil.firmware.cost import Cost, cost_metrics
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
 from sil.recording.run_reader import PIECE_S

@@ -14,8 +14,7 @@ from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from can_dbc.user_file import parse_json
 from sil.files.overrides import Settings, leaf_paths, set_value
-from sil.files.quantity import unit_of
-from sil.files.units import without_units
+from sil.files.quantity import unit_of, without_units
 from sil.firmware.load import absolute
 from sil.simulation.scenario import FirmwareTable, Scenario, check_consistent
 

@@ -10,7 +10,7 @@ from msgspec import structs
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
-from sil.files.units import without_units
+from sil.files.quantity import without_units
 from sil.firmware.load import absolute
 from sil.simulation import load_scenario
 from sil.studies.study import ScenarioStudy, Study, StudyFile, check_rows, filled

@@ -12,8 +12,7 @@ from sil.swarm.vocabulary import GUARDED, state, vocabulary
 Table = dict[str, Any]
 GEARS = ("neutral", "backward", "forward")
 
-SUPPLIES_PA = ((1.2e5, 3e5), (4e5, 1e6), (4e5, 1e6))
-"""Too low for most shifts, and usual."""
+SUPPLIES_PA = ((1.2e5, 3e5), (4e5, 1e6), (4e5, 1e6))  # too low for most shifts, and usual
 
 DRAWN_SETTINGS: dict[str, tuple[Any, ...]] = {
     "period_s": (0.0025, 0.005),

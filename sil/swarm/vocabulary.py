@@ -17,8 +17,7 @@ from plant.devices.signal_faults import SpeedFault, TemperatureFault
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FrozenCounter
 
-GUARDED = {kind.__name__ for kind in PROTECTED}
-"""Messages with end-to-end protection."""
+GUARDED = {kind.__name__ for kind in PROTECTED}  # messages with end-to-end protection
 
 Draw = Callable[[random.Random], Any]
 

@@ -20,9 +20,8 @@ from can_dbc.errors import InputError, RunError
 from controller.c_settings import content
 from sil.firmware.compiler import compiled
 from sil.firmware.contract import pack_step
-from sil.firmware.findings import FirmwareFailure
 from sil.firmware.load import SHIPPED_IN_C
-from sil.firmware.wasm import Instance, Module
+from sil.firmware.wasm import FirmwareFailure, Instance, Module
 from sil.rules import Violation, violations
 from sil.rules.shipped import RULES
 from sil.simulation.build import firmware_in_c
@@ -30,8 +29,7 @@ from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import finished
 from sil.simulation.load_scenario import from_table
 from sil.simulation.loop import Loop
-from sil.swarm.attempt import Attempt, attempt, transitions
-from sil.swarm.hunt import Hunt
+from sil.swarm.hunt import Attempt, Hunt, attempt, transitions
 from sil.swarm.shrink import shrink
 from tests.support.firmware_bugs import BUGS, MUTANT_SEED, Bug, mutants, with_bug
 

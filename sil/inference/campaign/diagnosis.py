@@ -18,7 +18,7 @@ from plant.errors import IntegrationError
 from plant.kernel.layout import LENGTH
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign
-from sil.files.html_table import html_table
+from sil.files.quantity import html_table
 from sil.inference.campaign.causes import causes_of, extended_model, gain_between, includes_neutral
 from sil.inference.campaign.checks import Finding, check_strokes, observed
 from sil.inference.campaign.model import CampaignModel, model_of

@@ -13,7 +13,7 @@ from can_dbc.errors import InputError
 from sil.logs import LogFrame, LogReport, convert, open_log, open_logs, open_writer
 from sil.logs.asc import parse_event
 from sil.logs.format import ZONE_NOTE, NotAFrame
-from sil.logs.frame import require_possible
+from sil.logs.frame import frame_problem
 from sil.logs.times import utc_ns
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
@@ -101,7 +101,7 @@ def test_broken_frame_lines(text: str) -> None:
             parse_event(text, decimal=False)
         return
     with pytest.raises(ValueError, match=r"\w"):
-        require_possible(parse_event(text, decimal=False).frame, "line")
+        raise ValueError(frame_problem(parse_event(text, decimal=False).frame) or "")
 
 
 @pytest.mark.parametrize("text", ["1 1A0 Rx d 1 00", "1 256 Rx d A 00", "1 256 Rx d 1 256"])

@@ -12,7 +12,7 @@ from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.candump import FORMAT, look_like_deltas, parse_line, plain_frames
 from sil.logs.format import NotAFrame
-from sil.logs.frame import require_possible
+from sil.logs.frame import frame_problem
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 START_S = 1_436_509_052
@@ -224,7 +224,7 @@ BROKEN = [
 @pytest.mark.parametrize("line", BROKEN)
 def test_broken_lines_are_no_frames(line: str) -> None:
     with pytest.raises(ValueError, match=r"\w"):
-        require_possible(parse_line(line).frame, "line")
+        raise ValueError(frame_problem(parse_line(line).frame) or "")
 
 
 @pytest.mark.parametrize("line", ["", "   ", "# remark", "; remark"])

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame
+from sil.logs import LogFrame, open_writer
 from sil.logs.frame import (
     DLC_LENGTHS,
-    LENGTH_DLC,
     all_ordinary,
     frame_problem,
     ordinary_frame,
-    require_possible,
 )
 
 
 def test_length_codes_of_the_standard() -> None:
     assert DLC_LENGTHS == (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-    assert [DLC_LENGTHS[code] for code in LENGTH_DLC] == sorted(
-        min(length for length in DLC_LENGTHS if length >= wanted) for wanted in range(65)
-    )
+    for length in range(65):
+        code = LogFrame(0, 0, bytes(length), fd=True).dlc
+        assert DLC_LENGTHS[code] == min(each for each in DLC_LENGTHS if each >= length)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +77,12 @@ def test_ordinary_frame_is_the_same_record() -> None:
     assert type(quick) is LogFrame
 
 
-def test_refusal_names_the_place() -> None:
-    with pytest.raises(InputError, match=r"here: standard identifier 0x800 .*; expected a CAN"):
-        require_possible(LogFrame(0, 0x800, b"", False), "here")
+def test_refusal_names_the_place(tmp_path: Path) -> None:
+    path = str(tmp_path / "a.asc")
+    with (
+        pytest.raises(
+            InputError, match=r"a.asc: frame 1: standard identifier 0x800 .*; expected a CAN"
+        ),
+        open_writer(path) as writer,
+    ):
+        writer.write(LogFrame(0, 0x800, b"", False))

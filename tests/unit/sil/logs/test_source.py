@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from can_dbc.errors import InputError
 from sil.logs import open_log, source
 from sil.logs.report import LogReport
-from sil.logs.source import LONGEST_LINE, ByteSource, chunk_lines, chunks, line_at, lines
+from sil.logs.source import LONGEST_LINE, ByteSource, chunks, lines
 
 LINE = b"(1.000000) can0 123#11\n"
 
@@ -149,15 +149,6 @@ def test_lines_are_those_of_the_text(parts: list[bytes], ended: bool, sizes: lis
     assert [line.unterminated for line in found[:-1]] == [False] * (len(found) - 1)
     if found:
         assert found[-1].unterminated is not blob.endswith(b"\n")
-
-
-@settings(deadline=None)
-@given(st.lists(st.text("ab\r", max_size=5), min_size=1, max_size=30))
-def test_line_at_is_that_line(parts: list[str]) -> None:
-    blob = "".join(f"{part}\n" for part in parts).encode()
-    for chunk in chunks(io.BytesIO(blob)):
-        for index, line in enumerate(chunk_lines(chunk)):
-            assert line_at(chunk, index) == line
 
 
 def test_a_line_without_end_takes_bounded_memory() -> None:
