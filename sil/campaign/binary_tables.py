@@ -33,10 +33,7 @@ class Channels:
     left_out: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: Any, time_s: Any = None, unit: Any = "") -> None:
-        """Add a channel of numbers or dates; others are left out, tables become one channel a column.
-
-        unit: text, or bytes; anything else is ignored.
-        """
+        """Add a channel of numbers or dates; others are left out, tables become one channel a column."""
         array = np.asarray(values)
         if array.dtype.kind == "M":
             array = (array - array[:1]) / np.timedelta64(1, "s")
@@ -70,14 +67,8 @@ class Channels:
         if not self.values:
             raise InputError(f"{path}: no channels of numbers; expected at least one")
         longest = max(map(len, self.values.values()))
-        base = next(
-            (
-                self.times[n]
-                for n, v in self.values.items()
-                if len(v) == longest and n in self.times
-            ),
-            None,
-        )
+        fastest = (name for name, values in self.values.items() if len(values) == longest)
+        base = next((self.times[name] for name in fastest if name in self.times), None)
         columns = {} if base is None or "time_s" in self.values else {"time_s": base}
         moved, left_out = [], list(self.left_out)
         for name, values in self.values.items():
@@ -127,9 +118,8 @@ def _hdf5(path: Path) -> Channels:
 
         def visit(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset):
-                channels.add(
-                    name, item[()], None, item.attrs.get("unit", item.attrs.get("units", ""))
-                )
+                unit = item.attrs.get("unit", item.attrs.get("units", ""))
+                channels.add(name, item[()], None, unit)
 
         file.visititems(visit)
     return channels
@@ -154,9 +144,8 @@ def _tdms(path: Path) -> Channels:
         for channel in group.channels():
             timed = "wf_increment" in channel.properties
             time_s = channel.time_track() if timed else None
-            channels.add(
-                channel.name, channel[:], time_s, channel.properties.get("unit_string", "")
-            )
+            unit = channel.properties.get("unit_string", "")
+            channels.add(channel.name, channel[:], time_s, unit)
     return channels
 
 
@@ -185,15 +174,15 @@ def read_binary(path: Path) -> tuple[dict[str, Floats], str, dict[str, str]]:
 
     Raises InputError for a missing extra, a file that is not what its suffix says, no channels.
     """
-    suffix = path.suffix.lower()
-    with regular_file(path, f"a {suffix[1:].upper()} file"):
+    name = path.suffix[1:].upper()
+    with regular_file(path, f"a {name} file"):
         pass  # the library opens it by its name
     try:
-        channels = BINARY[suffix](path)
+        channels = BINARY[path.suffix.lower()](path)
         columns, note = channels.table(path)
     except InputError:
         raise
     except Exception as error:  # each library has errors of its own
         text = str(error).partition("\n")[0]
-        raise InputError(f"{path}: {text}; expected a whole {suffix[1:].upper()} file") from None
-    return columns, ", ".join(filter(None, (suffix[1:].upper(), note))), channels.units
+        raise InputError(f"{path}: {text}; expected a whole {name} file") from None
+    return columns, ", ".join(filter(None, (name, note))), channels.units

@@ -34,7 +34,6 @@ TOP = ("name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz")
 Text = Annotated[str, Meta(min_length=1)]
 Rate = Annotated[float, Meta(gt=0.0, le=1e8)]
 
-
 LARGEST_VALUE = 1e30  # least size of a value that no channel has
 
 OWN_COLUMN = re.compile(
@@ -106,9 +105,8 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
         valves = ("1", "2") if self.kind == "fixed" else ("B", "N", "F")
         for index, (_, valve, _) in enumerate(self.commands):
             if valve not in valves:
-                raise InputError(
-                    f"commands[{index}]: valve {valve!r}; expected {', '.join(valves)}"
-                )
+                what = f"commands[{index}]: valve {valve!r}"
+                raise InputError(f"{what}; expected {', '.join(valves)}")
         if not set(self.charged_before) <= set(valves):
             charged = ", ".join(self.charged_before)
             raise InputError(f"charged_before: {charged}; expected of {', '.join(valves)}")
@@ -217,7 +215,7 @@ class Campaign:
     recorder: Recorder = field(default_factory=Recorder)
 
     def record(self, stroke: CampaignStroke) -> Record:
-        """Read a stroke's CSV; InputError names file and line of what is wrong."""
+        """Read a stroke's file, as `read_record` does."""
         return read_record(self.folder / stroke.file, self.recorder)
 
 
@@ -274,21 +272,14 @@ def misspelt_columns(
 
 
 def load_campaign(path: str | Path) -> Campaign:
-    """Read a campaign folder's campaign.toml (or that file itself).
-
-    Raises
-    ------
-    InputError : missing folder or file, unknown or missing key, wrong type or value: one line with
-        the file, where in it, what is wrong and what was expected
-    """
+    """Read a campaign folder's campaign.toml, or that file itself. Raises InputError for what is wrong in it."""
     folder = Path(path)
     file = folder if folder.suffix == ".toml" else folder / "campaign.toml"
     if not file.is_file():
         what = f"{path}: no campaign.toml; expected a campaign folder"
         if folder.is_dir() and any(folder.iterdir()):
-            what += (
-                f"; for CAN logs: opc4 diagnose {path}/*, for others: opc4 diagnose --new DIR FILES"
-            )
+            what += f"; for CAN logs: opc4 diagnose {path}/*"
+            what += ", for others: opc4 diagnose --new DIR FILES"
         raise InputError(what)
     raw = read_toml(file)
     rigs = ("fixed", "length", "both", "force")
@@ -344,10 +335,9 @@ def joined(campaigns: Sequence[Campaign]) -> Campaign:
 def read_record(path: Path, recorder: Recorder | None = None) -> Record:
     """Read a stroke's file: CSV with header row, comma, dot, or what `sil.campaign.tables` reads.
 
-    A stored unit may follow a name in [columns]: `x` or `x [mm]`. Columns that are neither ours nor
-    mapped are left out if they hold values that are not finite; so are samples that repeat a stamp.
-    Raises InputError with the line of a torn row, a cell that is no finite number, time that falls or
-    hardly increases, or a missing time_s.
+    A stored unit may follow a name in [columns]: `x` or `x [mm]`. Other columns with values that are not
+    finite are left out, and samples that repeat a stamp. Raises InputError with the line of a torn row, a
+    cell that is no finite number, time that falls or hardly increases, or a missing time_s.
     """
     recorder = recorder or Recorder()
     channels, dialect, units = read_columns(path, recorder.decimal)
@@ -391,21 +381,19 @@ def _map_columns(
     Raises InputError for a source that the file does not have, and for one of ours in another unit.
     """
     header = list(channels)
-    sources = {
-        f"{n} [{unit}]": channels[n] for n, unit in units.items() if n in channels
-    } | channels
+    sources = {f"{n} [{u}]": channels[n] for n, u in units.items() if n in channels} | channels
     used: set[str] = set()
     for ours, source in columns.items():
+        column = source.column
         try:
-            column = source.column
             values = sources[column] if column in sources else formula(column, sources)
         except (KeyError, ValueError):
             raise InputError(
-                f"{path}: no column {source.column!r} (mapped to {ours}); "
+                f"{path}: no column {column!r} (mapped to {ours}); "
                 f"expected one of {', '.join(header)}"
             ) from None
         channels[ours] = sources[ours] = values * source.scale + source.offset
-        used |= {ours, source.column}
+        used |= {ours, column}
     for name in sorted(units.keys() & channels.keys() - set(columns)):
         if OWN_COLUMN.fullmatch(name) and SCALES.get(units[name], (name, 1.0))[1] != 1.0:
             raise InputError(
@@ -419,10 +407,7 @@ def _map_columns(
 
 
 def _without_infinite(path: Path, channels: dict[str, Floats], used: set[str]) -> list[str]:
-    """Take out columns [n] that are not used and not finite; return their names.
-
-    Raises InputError for such a value in a column that is used.
-    """
+    """Take out columns [n] that are not finite; return their names. Raises InputError for one in use."""
     left_out = []
     for name in list(channels):
         finite = np.abs(channels[name]) < LARGEST_VALUE
@@ -440,27 +425,18 @@ def _without_infinite(path: Path, channels: dict[str, Floats], used: set[str]) -
 
 
 def stroke_columns(stroke: Stroke) -> dict[str, Floats]:
-    """Return a simulated stroke as the columns of the campaign format, in their order.
-
-    Columns [n] in SI units.
-    """
+    """Return a simulated stroke as the columns [n] of the campaign format, in SI units and their order."""
     chambers = stroke.conditions.chambers
     columns = {"time_s": stroke.time_s, "position_m": stroke.position_m}
-    for name in chambers:
-        columns[f"pressure_{name}_pa"] = stroke.pressure_pa(name)
+    columns |= {f"pressure_{name}_pa": stroke.pressure_pa(name) for name in chambers}
     if stroke.conditions.load == "damper":
         columns["pressure_oil2_pa"] = stroke.oil_pressure_pa()
-    for index, name in enumerate(chambers):
-        columns[f"cmd_{name}"] = stroke.duty[:, index]
-    columns["position_internal_m"] = stroke.internal_m
-    return columns
+    columns |= {f"cmd_{name}": stroke.duty[:, index] for index, name in enumerate(chambers)}
+    return columns | {"position_internal_m": stroke.internal_m}
 
 
 def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
-    """Write one stroke's CSV with the decimals that the format's instruments resolve.
-
-    columns: [n] each, in SI units.
-    """
+    """Write a stroke's columns [n], in SI units, as CSV with the decimals that its instruments resolve."""
     decimals = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
     formats = [f"%.{decimals.get(name, 3 if name.startswith('cmd_') else 1)}f" for name in columns]
     table = np.column_stack(list(columns.values()))
@@ -475,10 +451,8 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     keys += ["commands", "charged_before"]
     recorder = campaign.recorder
     top: dict[str, object] = {key: getattr(campaign, key) for key in TOP}
-    if recorder.gauge_pa:
-        top["pressures"] = "gauge"
-    if recorder.decimal:
-        top["decimal"] = recorder.decimal
+    top |= {"pressures": "gauge"} if recorder.gauge_pa else {}
+    top |= {"decimal": recorder.decimal} if recorder.decimal else {}
     lines = _assignments(top)
     for stroke in strokes:
         c = stroke.conditions

@@ -25,8 +25,7 @@ OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
 def formula(text: str, columns: Mapping[str, Floats]) -> Floats:
     """Return a column [n] computed from others: numbers, + - * / **, names; quoted if not plain.
 
-    `row` counts the rows from 0. Raises KeyError for a name that is no column, ValueError for what
-    is no formula.
+    `row` counts the rows from 0. Raises KeyError for an unknown name, ValueError for no formula.
     """
     count = len(next(iter(columns.values())))
 

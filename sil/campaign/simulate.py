@@ -54,10 +54,7 @@ class SimulatedStroke:
 
 
 def read_records(campaign: Campaign) -> list[Record | None]:
-    """Return the record of each stroke, None where the campaign holds conditions only.
-
-    Raises InputError for a record that is wrong.
-    """
+    """Return the records, None where there are conditions only. Raises InputError for a wrong one."""
     return [
         campaign.record(entry) if (campaign.folder / entry.file).exists() else None
         for entry in campaign.strokes
@@ -86,10 +83,9 @@ def simulate_campaign(
         except IntegrationError as error:
             raise RunError(f"{entry.file}: {error}") from None
         rms = {}
-        if recorded is not None:
-            for name, values in stroke_columns(stroke).items():
-                if name in recorded and not name.startswith(("cmd_", "time")):
-                    rms[name] = float(np.sqrt(np.mean((values - recorded[name]) ** 2)))
+        for name, values in stroke_columns(stroke).items():
+            if recorded is not None and name in recorded and not name.startswith(("cmd_", "time")):
+                rms[name] = float(np.sqrt(np.mean((values - recorded[name]) ** 2)))
         yield SimulatedStroke(entry, stroke, rms)
 
 
@@ -121,10 +117,7 @@ def write_campaign(
 
 
 def campaign_folder(out: Path, force: bool) -> Path:
-    """Return the folder for a simulated campaign: made if missing, refused if it holds another one.
-
-    Raises InputError if it holds another campaign and `force` is not set.
-    """
+    """Return the folder for a simulated campaign, emptied of another one with `force`, else InputError is raised."""
     campaign_file = out / "campaign.toml"
     if campaign_file.exists():
         if not force:

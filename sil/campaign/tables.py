@@ -8,7 +8,9 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
+from operator import itemgetter
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -51,12 +53,10 @@ class _Layout(NamedTuple):
 def read_columns(
     path: Path, decimal: Decimal | None = None
 ) -> tuple[dict[str, Floats], str, dict[str, str]]:
-    """Return the columns [n] of a file by its own names, its dialect in words, and stored units.
+    """Return the columns [n] of a file by its own names and in its units, its dialect in words, and units.
 
-    The columns are in the file's units; a text has none but those in its names. decimal: the sign, where
-    a text does not show it.
-
-    Raises InputError with the line of what is wrong, `Undecided` if the decimal sign is not known.
+    decimal: the sign, where a text does not show it. Raises InputError with the line of what is wrong,
+    `Undecided` if the decimal sign is not known.
     """
     if path.suffix.lower() in BINARY:
         return read_binary(path)
@@ -113,21 +113,14 @@ def _split(line: str, sign: str) -> list[str]:
     return next(csv.reader([line], delimiter=sign, skipinitialspace=True), [])
 
 
-# --- where the table is -----------------------------------------------------------------------
 def _layout(path: Path, lines: Sequence[str]) -> _Layout:
-    """Find the rows of numbers and the names above them.
-
-    Raises InputError if there are none, and where a row is neither names nor numbers.
-    """
-    first, name = next(
-        (
-            (k, name)
-            for text_too in (False, True)
-            for k, line in enumerate(lines[:200])
-            if (name := _delimiter(line, text_too))
-        ),
-        (-1, ""),
+    """Find the rows of numbers and the names above them. Raises InputError for other rows, and for none."""
+    delimiters = (
+        (k, _delimiter(line, text_too))
+        for text_too in (False, True)
+        for k, line in enumerate(lines[:200])
     )
+    first, name = next(filter(itemgetter(1), delimiters), (-1, ""))
     if first < 0:
         raise InputError(f"{path}: no rows of numbers; expected a table with a header row")
     sign = DELIMITERS[name]
@@ -205,14 +198,10 @@ def _check_widths(path: Path, rows: Sequence[Sequence[str]], layout: _Layout, wh
             raise InputError(f"{path}: line {number}: {torn}{len(row)} cells, expected {width}")
 
 
-# --- numbers ----------------------------------------------------------------------------------
 def _decimal_of(
     path: Path, rows: Sequence[Sequence[str]], layout: _Layout, stated: Decimal | None
 ) -> Decimal:
-    """Return the decimal sign of all numbers of a table.
-
-    Raises InputError for a number with another sign than the others, `Undecided` if all may be either.
-    """
+    """Return the decimal sign of all numbers. Raises InputError for two signs, `Undecided` if all may be either."""
     cells = {cell for row in rows for cell in row if "." in cell or "," in cell}
     dots, commas = (set(filter(NUMBER_STYLES[sign].fullmatch, cells)) for sign in (".", ","))
     proofs: dict[Decimal, set[str]] = {".": dots - commas, ",": commas - dots}
@@ -245,11 +234,10 @@ def _decimal_of(
 def _columns(
     path: Path, rows: Sequence[Sequence[str]], layout: _Layout, decimal: Decimal
 ) -> tuple[dict[str, Floats], list[str]]:
-    """Return columns [n] of cells, and what was done.
+    """Return columns [n] of cells, and what was done. Raises InputError with the line of a wrong cell.
 
     Stamps with date and time of day become seconds. Columns of text or without values are left out. A
-    slower channel, with values in every k-th row only, is interpolated between them. Raises InputError
-    with the line of a cell that is no finite number.
+    slower channel, with values in every k-th row only, is interpolated between them.
     """
     columns: dict[str, Floats] = {}
     left_out, notes = [], []
@@ -301,19 +289,14 @@ def _columns(
 def _slower(filled: Sequence[int], count: int) -> bool:
     """Return whether the rows with values are those of a slower channel, and no holes."""
     steps = np.diff(filled)
-    return 10 <= len(filled) < count and bool(
-        steps.min() >= 2 and steps.max() <= 2 * np.median(steps)
-    )
+    regular = len(filled) >= 10 and steps.min() >= 2 and steps.max() <= 2 * np.median(steps)
+    return bool(regular) and len(filled) < count
 
 
 def _moment(cell: str) -> datetime | None:
     """Return a date with its time of day, or a time of day, None for any other text."""
     day = re.sub(r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1", cell)
-    try:
-        return (
-            datetime.fromisoformat(day if "-" in day else f"1970-01-01 {day}")
-            if ":" in cell
-            else None
-        )
-    except ValueError:
-        return None
+    with suppress(ValueError):
+        if ":" in cell:
+            return datetime.fromisoformat(day if "-" in day else f"1970-01-01 {day}")
+    return None

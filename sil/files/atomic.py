@@ -51,10 +51,9 @@ class NewFile:
             else:
                 with open(self._path, "wb") as fifo:
                     shutil.copyfileobj(self.file, fifo, 1 << 20)
-            self.file.close()
-            return
         self.file.close()
-        os.replace(self._part, self._path)
+        if not self._copied:
+            os.replace(self._part, self._path)
 
     def discard(self) -> None:
         """Close and remove the file."""
@@ -67,10 +66,7 @@ class NewFile:
 
 @contextlib.contextmanager
 def open_atomically(path: Path) -> Iterator[BinaryIO]:
-    """Open a new file that takes the name `path` when the block ends, and vanishes if it fails.
-
-    Raises OSError naming `path`.
-    """
+    """Open a file that takes the name `path` when the block ends. Raises OSError naming `path`."""
     new = NewFile(path)
     try:
         yield new.file
@@ -84,7 +80,7 @@ def open_atomically(path: Path) -> Iterator[BinaryIO]:
 
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Write a file atomically, text as UTF-8.  Raises OSError naming `path`."""
+    if isinstance(content, str):
+        content = content.encode(errors="backslashreplace")
     with open_atomically(path) as file:
-        file.write(
-            content.encode(errors="backslashreplace") if isinstance(content, str) else content
-        )
+        file.write(content)

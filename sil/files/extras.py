@@ -14,10 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def import_extra(module: str, extra: str, purpose: str) -> Any:
-    """Import the library `module` of the optional dependency group `extra`.
+    """Import a library of an extra; `purpose` says what needs it.
 
-    `purpose` begins the message and says what needs the library. Raises InputError with the
-    command that installs it if it is missing.
+    Raises InputError with the command that installs it if it is missing.
     """
     try:
         return importlib.import_module(module)

@@ -55,19 +55,13 @@ def finite(value: Any) -> Any:
     return value
 
 
-def prepare_folder(
-    out: Path | None,
-    name: str,
-    force: bool,
-    inputs: Iterable[str] = (),
-) -> Path:
-    """Return the locked folder of a new run, made if missing.
+def prepare_folder(out: Path | None, name: str, force: bool, inputs: Iterable[str] = ()) -> Path:
+    """Return the locked folder of a new run, made if missing, and marked INCOMPLETE until `close_folders`.
 
     Without `out` it is the first free runs/<name>-<n>.  With `force`, the files of a run that the
-    folder holds are set aside until `close_folders`. The file INCOMPLETE
-    marks it until then. `inputs`: files that the command reads.
-    Raises InputError for a folder that holds a run, to which another process writes, or in which
-    nothing can be written, and if an input would be deleted.
+    folder holds are set aside until then. `inputs`: files that the command reads. Raises InputError for
+    a folder that holds a run, to which another process writes, or in which nothing can be written, and
+    if an input would be deleted.
     """
     if out is not None and force:
         for file in map(Path, inputs):
@@ -87,10 +81,7 @@ def prepare_folder(
 
 
 def reopen_folder(out: Path) -> Path:
-    """Return the folder of a run that is to be continued, locked and marked as incomplete.
-
-    Raises InputError for one that is missing or to which another process writes.
-    """
+    """Return the folder of a run to be continued, locked and marked. Raises InputError if that fails."""
     folder = without_parent_steps(out)
     _open_folders.append((folder, _lock(folder)))
     _mark_incomplete(folder)
@@ -99,10 +90,7 @@ def reopen_folder(out: Path) -> Path:
 
 @contextlib.contextmanager
 def locked_folder(out: Path, option: str = "--out") -> Iterator[Path]:
-    """Lock a folder, made if missing, while the block runs; errors name the option that gave it.
-
-    Raises InputError for one to which another process writes, or that cannot be made.
-    """
+    """Lock a folder, made if missing, while the block runs. Raises InputError, naming the option, if it cannot."""
     folder, lock = _made(out, option)
     try:
         yield folder
@@ -116,10 +104,10 @@ def without_parent_steps(out: Path) -> Path:
 
 
 def close_folders(why: str | None) -> list[str]:
-    """End what `prepare_folder` began; `why` it is not complete, or None if it is.
+    """End what `prepare_folder` began; `why` it is not complete, or None; return lines for the user.
 
     If it is complete, the run that was set aside is removed.  Otherwise it is put back, unless the
-    new run has left files of its own: then it stays in `previous`.  Returns lines for the user.
+    new run has left files of its own: then it stays in `previous`.
     """
     messages = []
     while _open_folders:
@@ -191,11 +179,7 @@ def _unusable(folder: Path, error: OSError, option: str = "--out") -> InputError
 
 
 def _lock(folder: Path, option: str = "--out") -> int:
-    """Return a descriptor of the folder that holds its lock until it is closed or the process ends.
-
-    A file system that cannot lock folders (some network ones) goes without.
-    Raises InputError while another process holds the lock.
-    """
+    """Return a descriptor that holds the folder's lock. Raises InputError while another process has it."""
     try:
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
@@ -204,10 +188,9 @@ def _lock(folder: Path, option: str = "--out") -> int:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(lock)
-        raise InputError(
-            f"{folder}: {option}: another run is writing here; expected another folder, or its end"
-        ) from None
-    except OSError:
+        what = "another run is writing here; expected another folder, or its end"
+        raise InputError(f"{folder}: {option}: {what}") from None
+    except OSError:  # some network file systems cannot lock folders
         pass
     return lock
 
@@ -247,11 +230,9 @@ def _empty(folder: Path, force: bool) -> None:
 
 
 def _set_aside(folder: Path, run_files: Sequence[str]) -> None:
-    """Move the files of a run into the folder's `previous`.
+    """Move the files of a run into `previous`, or delete them if they are not complete and those there are.
 
-    If `previous` holds a complete run already, and the run in the folder is not complete, that one
-    is kept and the files are deleted.  What tells whether a run is complete goes last: killed in
-    between, the folder still shows which of both is.  One marked INCOMPLETE is not.
+    What tells whether a run is complete goes last: killed in between, the folder still shows it.
     """
     previous = folder / PREVIOUS
     if previous.is_symlink() or (previous.exists() and not previous.is_dir()):

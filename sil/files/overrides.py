@@ -22,10 +22,7 @@ NO_SETTINGS: Settings = MappingProxyType({})
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """Return path and value of a text PATH=VALUE; VALUE is one of TOML, or else text itself.
-
-    Raises InputError for a text without path or value.
-    """
+    """Return path and value, of TOML or else text, of PATH=VALUE. Raises InputError if one is missing."""
     path, sign, written = (part.strip() for part in text.partition("="))
     if not sign or not path:
         raise InputError(f"--set {one_line(text)}: no value; expected PATH=VALUE")
@@ -87,10 +84,7 @@ def leaf_paths(kind: Any, value: Any, prefix: tuple[str | int, ...] = ()) -> Ite
 
 
 def set_value(raw: dict[str, Any], kind: Any, path: str, value: Any) -> bool:
-    """Set the value at a dotted path in place; return False when the type has no such path.
-
-    A list is entered by index, request[0].gear or request.0.gear.
-    """
+    """Set the value at a path, request[0].gear or request.0.gear; return False when the type has none."""
     steps = [
         int(s) if re.fullmatch(r"[0-9]{1,6}", s) else s
         for s in re.split(r"[.\[]", path.replace("]", ""))

@@ -10,7 +10,6 @@ import time
 
 FIRST_AFTER_S = 2.0
 LINE_EVERY_S = 10.0
-BAR_WIDTH = 30
 
 _silent = False
 
@@ -62,8 +61,7 @@ class Progress:
         text += f"; {note}" if note else ""
         if sys.stderr.isatty():
             self._next_s = now_s + 0.1
-            full = round(BAR_WIDTH * share)
-            bar = f"[{'#' * full}{'.' * (BAR_WIDTH - full)}] {text}"
+            bar = f"[{'#' * round(30 * share):.<30}] {text}"
             print("\r" + bar.ljust(len(self._shown)), end="", file=sys.stderr, flush=True)
             self._shown = bar
         else:

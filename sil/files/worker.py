@@ -30,10 +30,7 @@ def in_turn(
     cluster: str | None = None,
     then: str = "",
 ) -> Iterator[Answer]:
-    """Yield work(item) of every item, in their order, wherever it is done.
-
-    Raises RunError if a process or the cluster is lost, with what to do `then`.
-    """
+    """Yield work(item) of every item, in order. Raises RunError, with what to do `then`, if a worker is lost."""
     if cluster is not None:
         yield from _on_cluster(work, items, cluster, then)
     elif workers > 1 and items:
@@ -75,9 +72,8 @@ def _on_cluster(
 def in_processes(
     work: Callable[[Item], Answer], items: Sequence[Item], workers: int, then: str = ""
 ) -> Iterator[Answer]:
-    """Yield work(item) of every item from forked processes, in the order of the items.
+    """Yield work(item) of every item from forked processes, in order; items and answers are pickled.
 
-    The work may hold anything (it is inherited by the fork); items and answers are pickled.
     Raises RunError if a process dies, with what to do `then`, and what the work raises.
     """
     import multiprocessing
@@ -101,10 +97,7 @@ def in_processes(
 
 
 def _begin(parent: int) -> None:
-    """Leave interrupts to the process `parent`, and end when that is gone.
-
-    A worker whose parent was killed would wait for ever otherwise: its pipes stay open in the others.
-    """
+    """Leave interrupts to `parent`, and end when that was killed: its pipes stay open in other workers."""
 
     def watch() -> None:
         while os.getppid() == parent:
