@@ -119,19 +119,17 @@ class CController(TickingNode):
         self._folder = folder
         self._signals: list[tuple[int, dict[str, float]]] = []  # time in ns and what was traced
         self._pending: list[tuple[int, Frame]] = []
-        self.steps: list[Step] | None = None
-        """What each step was given, if it is to be kept: a list from the start."""
-        self._lost = 0
-        self._count = 0
-        self._sum_instructions = self._max_instructions = 0
+        self.steps: list[Step] | None = (
+            None  # what each was given, if a list is set here to keep it
+        )
+        self._lost = self._count = self._sum_instructions = self._max_instructions = 0
         self._worst = Step(0, (), 0)
         try:
             settings = c_settings.content(config)
             self._instances = [Instance(module, settings) for module in modules(path)]
         except FirmwareFailure as failure:
-            raise ParticipantLost(name, f"failed: {self._shown(failure)}, in fw_init").at(
-                0
-            ) from None
+            lost = ParticipantLost(name, f"failed: {self._shown(failure)}, in fw_init")
+            raise lost.at(0) from None
 
     def _shown(self, failure: FirmwareFailure) -> str:
         """Return the failure with the path of the source, from the current folder, before it."""
@@ -214,10 +212,7 @@ class CController(TickingNode):
 
 
 def modules(path: Path) -> tuple[Module, ...]:
-    """Return the builds of a firmware, the plain one last.
-
-    Raises InputError for a file that is no firmware.
-    """
+    """Return the builds of a firmware, the plain one last. Raises InputError for a file that is none."""
     if not path.exists():
         raise InputError(f"firmware: {path}: no such file; expected FILE.c or FILE.wasm")
     if path.suffix == ".wasm":

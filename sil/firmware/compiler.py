@@ -35,25 +35,21 @@ _CACHE = Path(platformdirs.user_cache_dir("opc4-sil"))
 def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = ()) -> bytes:
     """Return the module that a C file compiles to; `sanitised`: undefined behaviour calls the host.
 
-    A file that has not changed, nor what it includes, is not compiled again unless the compiler had
-    something to say: that goes to standard error. Raises InputError if it refuses the file, and with
-    the command that installs a compiler without one.
+    Unless it or what it includes has changed, or the compiler had something to say, it is not compiled
+    again. Raises InputError if the compiler refuses the file, and with the command that installs one.
     """
     built = (path, sanitised, options)
     if built in _built and _is_current(_built[built][0]):
         return _built[built][1]
     read_user_file(path, "C source")
-    build: tuple[str, ...] = ("-O2", "-fno-sanitize=all")
-    if sanitised:
-        build = (
-            *("-O1", "-ftrivial-auto-var-init=pattern", "-fno-sanitize-trap=all"),
-            "-fsanitize=undefined,float-cast-overflow,local-bounds",
-        )
-    flags = (
-        *("-target", "wasm32-freestanding", "-std=c99", "-g", "-c"),
-        *("-ffp-contract=off", "-fno-math-errno", "-mbulk-memory", *build, *options),
+    flags = "-target wasm32-freestanding -std=c99 -g -c -ffp-contract=off -fno-math-errno -mbulk-memory "
+    flags += (
+        "-O1 -ftrivial-auto-var-init=pattern -fno-sanitize-trap=all "
+        "-fsanitize=undefined,float-cast-overflow,local-bounds"
+        if sanitised
+        else "-O2 -fno-sanitize=all"
     )
-    command = (*tool("cc"), *flags, path.name)
+    command = (*tool("cc"), *flags.split(), *options, path.name)
     key = "\n".join((str(resolved(path)), header(), _version(), *command))
     stored = _CACHE / "c" / sha256(key.encode()).hexdigest()
     with contextlib.suppress(OSError, ValueError):

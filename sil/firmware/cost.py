@@ -52,8 +52,6 @@ def read_cost(folder: Path) -> Cost | None:
 
 def cost_metrics(cost: Cost | None) -> dict[str, Any]:
     """Return the metrics of a run: instructions of the worst step, and stack; none without a record."""
-    return (
-        {}
-        if cost is None
-        else dict(zip(METRICS, (cost.max_instructions, cost.stack_bytes), strict=True))
-    )
+    if cost is None:
+        return {}
+    return dict(zip(METRICS, (cost.max_instructions, cost.stack_bytes), strict=True))

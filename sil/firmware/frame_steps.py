@@ -6,7 +6,6 @@ from typing import Any
 
 from can_dbc.codec import decode
 from can_dbc.e2e import Protector
-from can_dbc.frame import Frame
 from can_dbc.messages import (
     ControllerStatus,
     DrivelineSpeeds,
@@ -29,25 +28,16 @@ class FrameSteps:
 
     def __init__(self, node: Participant) -> None:
         self._node = node
-        self._protectors: dict[type, Protector[Any]] = {
-            kind: Protector(kind) for kind in (PositionPulse, ShiftRequest, DrivelineSpeeds)
-        }
+        kinds = (PositionPulse, ShiftRequest, DrivelineSpeeds)
+        self._protectors: dict[type, Protector[Any]] = {kind: Protector(kind) for kind in kinds}
 
     def step(self, now_ns: int, inputs: Inputs) -> Outputs:
-        """Return the messages of a step, whose time is a tick of the control unit.
-
-        Raises ParticipantLost when the firmware fails, ValueError when it leaves a message out.
-        """
-        messages = (*inputs.pulses, inputs.request, inputs.speeds)
-        frames: list[tuple[int, Frame]] = [
-            (now_ns, self._protectors[type(message)].protect(message))
-            for message in messages
-            if message is not None
-        ]
+        """Return the messages of a step. Raises ParticipantLost or ValueError when the firmware fails."""
+        messages = filter(None, (*inputs.pulses, inputs.request, inputs.speeds))
+        frames = [(now_ns, self._protectors[type(m)].protect(m)) for m in messages]
         released, _ = self._node.advance(now_ns, frames)
-        by_type: dict[type, Any] = {
-            type(message): message for message in (decode(frame) for _, frame in released)
-        }
+        sent = [decode(frame) for _, frame in released]
+        by_type: dict[type, Any] = {type(message): message for message in sent}
         needed = (ValveCommand, SafetyBlow, ControllerStatus)
         for kind in needed:
             if kind not in by_type:

@@ -19,10 +19,10 @@ IN_C = "c"  # in place of a file: the shipped firmware in C
 def firmware_node(
     where: str, config: FirmwareConfig, name: str = "controller", folder: Path | None = None
 ) -> Participant:
-    """Return the control unit with a firmware of the user: FILE.py, FILE.py:CLASS, FILE.c, FILE.wasm, a checkout.
+    """Return the control unit with a firmware of the user: FILE.py[:CLASS], FILE.c, FILE.wasm, a checkout.
 
-    One in C writes into `folder`, if given, what its steps cost and the signals that it traced.
-    Raises InputError for a file that cannot be loaded, and ParticipantLost when its start fails.
+    One in C writes its cost and signals into `folder`. Raises InputError for a file that cannot be
+    loaded, and ParticipantLost when its start fails.
     """
     if in_module(where):
         from sil.firmware.c_firmware import CController

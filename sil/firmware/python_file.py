@@ -39,10 +39,7 @@ _SERVER = Path(__file__).with_name("python_process.py")
 
 
 class OwnController:
-    """The controller with the firmware that `where`, FILE.py or FILE.py:CLASS, holds; a participant.
-
-    Or that of another checkout of this project, if `where` is its folder. `name`: of the controller
-    in messages.
+    """The controller with a firmware from FILE.py, FILE.py:CLASS or the folder of a checkout; a participant.
 
     Raises InputError naming file, line and what is wrong with a file that cannot be loaded, and
     ParticipantLost (also from `advance`) when its code ends the process or hangs.
@@ -60,9 +57,8 @@ class OwnController:
                 raise InputError(f"firmware: {file}: {what}")
         elif self._path.suffix != ".py" or not self._path.is_file():
             what = "no firmware" if self._path.exists() else "no such file"
-            raise InputError(
-                f"firmware: {file}: {what}; expected FILE.py, FILE.py:CLASS, FILE.c or FILE.wasm"
-            )
+            expected = "FILE.py, FILE.py:CLASS, FILE.c or FILE.wasm"
+            raise InputError(f"firmware: {file}: {what}; expected {expected}")
         self._server: _Server | None = _take_server()
         settings = msgspec.to_builtins(config)
         try:
@@ -75,10 +71,7 @@ class OwnController:
         return 0
 
     def advance(self, until_ns: int, deliveries: Received) -> Turn:
-        """Advance the controller, as `controller.node.ControllerNode` does.
-
-        Raises ParticipantLost with the file, the line and the error when the firmware fails.
-        """
+        """Advance the controller. Raises ParticipantLost with file, line and error when the firmware fails."""
         heard = [(at_ns, frame.can_id, frame.data) for at_ns, frame in deliveries]
         released, next_ns = self._ask(["advance", until_ns, heard], STEP_S)
         return [(at_ns, Frame(can_id, data)) for at_ns, can_id, data in released], next_ns
@@ -109,16 +102,11 @@ class OwnController:
             if kind == "answer":
                 return content
             if kind == "refused":
-                raise InputError(
-                    content if self.name == "controller" else f"{self.name}: {content}"
-                )
+                prefix = "" if self.name == "controller" else f"{self.name}: "
+                raise InputError(f"{prefix}{content}")
             if kind == "ended":
-                name = (
-                    f"killed by {signal.Signals(-content).name}"
-                    if content < 0
-                    else f"exit({content})"
-                )
-                content = f"{self._place()}: its process ended: {name}"
+                killed = content < 0 and f"killed by {signal.Signals(-content).name}"
+                content = f"{self._place()}: its process ended: {killed or f'exit({content})'}"
             raise ParticipantLost(self.name, f"failed: {content}")
         except (OSError, EOFError):
             what = f"failed: {self._path}: its process was killed"

@@ -112,10 +112,9 @@ def _load(path: Path, class_name: str, settings: Any) -> Steps:
 
 def _of_checkout(folder: Path, settings: Any) -> ControllerNode:
     """Return the node of a checkout, made of its own packages in place of ours."""
-    for name in [
-        name for name in sys.modules if name.partition(".")[0] in ("can_dbc", "controller")
-    ]:
-        del sys.modules[name]
+    for name in list(sys.modules):
+        if name.partition(".")[0] in ("can_dbc", "controller"):
+            del sys.modules[name]
     sys.path.insert(0, str(folder))
     sys.dont_write_bytecode = True
     config, node = (importlib.import_module(f"controller.{name}") for name in ("config", "node"))

@@ -71,10 +71,7 @@ def finding(name: str, memory: memoryview, arguments: tuple[Any, ...]) -> str:
 
 
 def trap_text(trap: Any, max_instructions: int, overflowed: bool) -> str:
-    """Return what a trap of wasmtime means, after its place: from the source, else the function.
-
-    `overflowed`: the stack pointer has left the stack.
-    """
+    """Return place and meaning of a trap of wasmtime; `overflowed`: the stack pointer has left the stack."""
     code = trap.trap_code.name if trap.trap_code is not None else "UNREACHABLE"
     names = [frame.func_name or "a function without a name" for frame in trap.frames]
     places = re.findall(r"^ +at (?:.*/)?([^/]+:\d+:\d+)$", trap.message, re.MULTILINE)
@@ -128,8 +125,8 @@ class Module:
         types = {item.name: item.type for item in self.code.exports}
         for name in ("memory", *EXPORTS):
             if name not in types:
-                what = f"does not export {name}; expected memory, {', '.join(EXPORTS)}"
-                raise self._wrong(what)
+                expected = f"memory, {', '.join(EXPORTS)}"
+                raise self._wrong(f"does not export {name}; expected {expected}")
         for name in ("fw_init", "fw_step"):
             kind = types[name]
             if not isinstance(kind, self.wasmtime.FuncType) or kind.params or kind.results:
@@ -187,10 +184,7 @@ class Instance:
         return self._stack_top - int(touched.argmax()) if touched.any() else 0
 
     def step(self, content: bytes) -> int:
-        """Run a step with the bytes of `contract.pack_step`; return the instructions that it took.
-
-        Raises FirmwareFailure when it fails.
-        """
+        """Run a step with the bytes of `contract.pack_step`; return its instructions. Raises FirmwareFailure."""
         self._memory[self._in : self._in + len(content)] = content
         return self._call(self._step)
 
@@ -198,8 +192,7 @@ class Instance:
         """Return the frames that the step sent. Raises FirmwareFailure for too many, or one that is none."""
         count, _ = COUNTS.unpack_from(self._memory, self._out)
         if count > MAX_SENT:
-            what = f"sent {count} frames in a step; a bus takes at most {MAX_SENT}"
-            raise FirmwareFailure(what)
+            raise FirmwareFailure(f"sent {count} frames in a step; a bus takes at most {MAX_SENT}")
         begin = self._out + COUNTS.size
         try:
             return contract.unpack_frames(self._memory[begin : begin + count * contract.FRAME.size])

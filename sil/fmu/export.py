@@ -16,11 +16,10 @@ from sil.simulation.scenario import expanded
 
 
 def export(what: str, loaded: Loaded, out: Path) -> None:
-    """Write the unit of one side of a scenario to `out`.
+    """Write the unit of one side of a scenario to `out`; a firmware in C goes along as a module.
 
-    A firmware in C goes along as a module. The same scenario and module give the same instantiation
-    token; the file's dates differ. Raises ModuleNotFoundError without pythonfmu3, InputError for a
-    firmware that is none.
+    The same scenario and module give the same instantiation token. Raises ModuleNotFoundError without
+    pythonfmu3, InputError for a firmware that is none.
     """
     from pythonfmu3 import FmuBuilder
 

@@ -14,22 +14,14 @@ from sil.simulation.load_scenario import Loaded, from_table
 
 
 def prepare(slave: Fmi3Slave) -> Loaded:
-    """Return the scenario that a unit was exported from, and declare its token and time.
-
-    Raises InputError if the unit's settings cannot be used by the opc4-sil that is installed.
-    """
+    """Return the scenario that a unit was exported from, and declare its token and time. Raises InputError."""
     resources = Path(str(slave.resources))
     release_static_state(str(resources), type(slave).__name__)
     settings = json.loads((resources / "settings.json").read_text())
     slave.guid = settings["token"]
     slave.time = 0.0
-    slave.register_variable(
-        Float64(
-            "time",
-            causality=Fmi3Causality.independent,
-            variability=Fmi3Variability.continuous,
-        )
-    )
+    kind = {"causality": Fmi3Causality.independent, "variability": Fmi3Variability.continuous}
+    slave.register_variable(Float64("time", **kind))
     return from_table(settings["scenario"], "settings.json", folder=resources)
 
 
@@ -59,17 +51,11 @@ def declare(
 
 
 def release_static_state(resources: str, class_name: str) -> bool:
-    """Empty the static pointer of a unit's library; call it while an instance is being made.
+    """Empty the static pointer of a unit's library, found from its resources; return whether that was done.
 
-    The library of a unit (pythonfmu3 0.3 and before) holds a static `std::shared_ptr` to the state
-    of the interpreter. At exit its destructor releases it, and then the library's unload function
-    assigns to it once more, which decrements a counter in freed memory: glibc may find its heap
-    corrupted and abort (exit code 134) after a simulation that was right. The library exports the
-    function that empties the pointer, which makes both later releases do nothing.
-
-    resources: the folder of the unpacked unit's resources. Returns whether it was emptied: it is
-    left as it is while the unit is being exported, and in programs that are not Python, where the
-    state must outlive the instance because it ends the interpreter.
+    pythonfmu3 (0.3 and before) releases a static `std::shared_ptr` to the interpreter's state twice at
+    exit, after which glibc may abort (exit code 134). The library exports the function that empties it
+    before. In programs that are not Python it stays, because it ends the interpreter there.
     """
     if not sys.orig_argv:
         return False

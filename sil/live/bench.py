@@ -87,10 +87,10 @@ class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def load_asked(asked: Asked, scenarios: Mapping[str, str]) -> Loaded:
-    """Return the scenario that is asked for; `scenarios`: the files or shipped names that may be used.
+    """Return the scenario that is asked for, one of `scenarios`.
 
-    Raises InputError for another scenario, a value that is not the page's to set, a run
-    that is too long, and as the scenario itself does.
+    Raises InputError for another one, a value that is not the page's to set, a run that is too long, and
+    as the scenario itself does.
     """
     if asked.scenario not in scenarios:
         raise InputError(f"scenario: {asked.scenario!r}; expected one of {', '.join(scenarios)}")
@@ -121,10 +121,7 @@ def load_asked(asked: Asked, scenarios: Mapping[str, str]) -> Loaded:
 
 
 def compare(before: Asked, after: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
-    """Return a run, with the one before a change beneath it, as the tab Shift shows them.
-
-    Raises InputError and RunError.
-    """
+    """Return two runs, before and after a change, for the tab Shift. Raises InputError and RunError."""
     (_, first), (loaded, run) = _run(before, scenarios), _run(after, scenarios)
     record, scenario = run.record, loaded.scenario
     changed = after.requests is not None or after.faults or after.duration_s is not None
@@ -246,8 +243,7 @@ def _shown(value: Any) -> str:
 
 def vocabulary(scenarios: Mapping[str, str]) -> dict[str, Any]:
     """Return what the page offers: scenarios, faults, strategies."""
-    kinds = _schema()
-    faults = {}
+    kinds, faults = _schema(), {}
     for table in FAULT_TABLES:
         items = kinds["Scenario"]["properties"][table]["items"]
         faults[table] = [kinds[ref["$ref"].split("/")[-1]] for ref in items.get("anyOf", [items])]
@@ -266,10 +262,7 @@ def _schema() -> dict[str, Any]:
 
 
 def values_of(asked: Asked, scenarios: Mapping[str, str]) -> dict[str, Any]:
-    """Return the scenario's own values; `reset`: path of each setting that it refuses, and why.
-
-    Raises InputError.
-    """
+    """Return the scenario's own values; `reset`: the settings that it refuses, and why. Raises InputError."""
     kept: dict[str, Any] = {}
     reset = {}
     for path, value in asked.settings.items():

@@ -54,9 +54,8 @@ def _entry(path: Path) -> Iterator[dict[str, Any]]:
         result = _json(path / "result.json")
         metrics = result.get("metrics") or {}
         entry["state"] = "passed" if result.get("passed") else result.get("why") or "failed"
-        entry["figures"] = {
-            key: metrics.get(key) for key in ("shift_time_s", "impact_speed_m_s", "air_used_kg")
-        }
+        names = ("shift_time_s", "impact_speed_m_s", "air_used_kg")
+        entry["figures"] = {name: metrics.get(name) for name in names}
         entry["trace"] = (path / "trace.csv").is_file()
     elif kind == "study" and (path / RESULTS).is_file():
         with (path / RESULTS).open("rb") as rows:
@@ -83,10 +82,7 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def compared(folder: Path, names: Sequence[str]) -> dict[str, Any]:
-    """Return runs over each other, or a study as far as it is, as plots.js draws them.
-
-    Raises InputError for too many, or one without a trace.
-    """
+    """Return runs over each other, or a study so far, for plots.js. Raises InputError without traces."""
     if not 1 <= len(names) <= 6:
         raise InputError(f"runs: {len(names)} chosen; expected 1 to 6")
     if len(names) == 1 and (inside(folder, names[0]) / RESULTS).is_file():
@@ -100,11 +96,9 @@ def compared(folder: Path, names: Sequence[str]) -> dict[str, Any]:
         role, at = f"series{number}", time_s * MS
         position.append(Series(name, at, position_m * MM, role))
         speed.append(Series(name, at, speed_m_s, role))
-    panels = [
-        Panel("Position", "mm", position, height=240),
-        Panel("Speed of the stay", "m/s", speed),
-    ]
-    return content(Figure([Stack("simulated time, ms", panels)]).stacks[0])
+    upper = Panel("Position", "mm", position, height=240)
+    lower = Panel("Speed of the stay", "m/s", speed)
+    return content(Figure([Stack("simulated time, ms", [upper, lower])]).stacks[0])
 
 
 def _so_far(results: Path) -> Figure:

@@ -106,20 +106,19 @@ class _Handler(web.RequestHandler):
         self.shared.admit(self.request, self.token())
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        what = (
-            f"{status_code}: no {self.request.path[:80]!r}" if status_code == 404 else status_code
-        )
+        what = str(status_code)
+        if status_code == 404:
+            what += f": no {self.request.path[:80]!r}"
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"opc4 live: {what}; open the address that opc4 live printed\n")
 
     async def answer(self, work: Callable[[], Any]) -> None:
         """Send what `work` returns as JSON; bad input is one line with status 400."""
-        loop = asyncio.get_running_loop()
         self.set_header("Content-Type", "application/json")
+        pool = self.shared.pool
         try:
-            text = await loop.run_in_executor(
-                self.shared.pool, lambda: msgspec.json.encode(work(), enc_hook=float)
-            )
+            result = pool.submit(lambda: msgspec.json.encode(work(), enc_hook=float))
+            text = await asyncio.wrap_future(result)
         except (InputError, RunError, msgspec.DecodeError) as error:
             self.set_status(400)
             text = msgspec.json.encode({"error": " ".join(str(error).split())})
@@ -142,13 +141,13 @@ class _Api(_Handler):
     """What the page offers, runs and compares."""
 
     async def get(self, what: str) -> None:
-        works = {
-            "vocabulary": lambda: {
-                **bench.vocabulary(self.shared.scenarios),
-                "started": self.shared.started,
-            },
-            "runs": lambda: runs.listed(self.shared.folder),
-        }
+        shared = self.shared
+        await self.answer_one_of(what, {
+            "vocabulary": lambda: bench.vocabulary(shared.scenarios) | {"started": shared.started},
+            "runs": lambda: runs.listed(shared.folder),
+        })  # fmt: skip
+
+    async def answer_one_of(self, what: str, works: Mapping[str, Callable[[], Any]]) -> None:
         if what not in works:
             raise web.HTTPError(405)
         await self.answer(works[what])
@@ -161,15 +160,12 @@ class _Api(_Handler):
             before, after = decode(body, type=tuple[Asked, Asked])
             return bench.compare(ours(before), ours(after), scenarios)
 
-        works: dict[str, Callable[[], Any]] = {
+        await self.answer_one_of(what, {
             "frames": lambda: bench.frames(ours(decode(body, type=Asked)), scenarios),
             "values": lambda: bench.values_of(ours(decode(body, type=Asked)), scenarios),
             "compare": compare,
             "runs": lambda: runs.compared(self.shared.folder, decode(body, type=list[str])),
-        }
-        if what not in works:
-            raise web.HTTPError(405)
-        await self.answer(works[what])
+        })  # fmt: skip
 
 
 class _RunPage(_Handler):
@@ -204,11 +200,7 @@ class _Listener(websocket.WebSocketHandler):
         if self.ended.is_set() or not isinstance(message, str) or not message.isprintable():
             self.close(1003, "expected the name of a local bus, once")
             return
-        loop = asyncio.get_running_loop()
-
-        def send(text: str) -> None:
-            loop.call_soon_threadsafe(self._send, text)
-
+        send = partial(asyncio.get_running_loop().call_soon_threadsafe, self._send)
         threading.Thread(target=_listen, args=(message, self.ended, send), daemon=True).start()
 
     def _send(self, text: str) -> None:
@@ -255,14 +247,14 @@ class _Server(httpserver.HTTPServer):
 
 def application(shared: Bench) -> web.Application:
     """Return the addresses of the bench."""
-    handlers = [
-        (r"/", _Page),
-        (r"/api/(vocabulary|runs|frames|values|compare)", _Api),
-        (r"/runs/([^/]+)/([^/]+)", _RunPage),
-        (r"/bus", _Listener),
-    ]
+    handlers = {
+        r"/": _Page,
+        r"/api/(vocabulary|runs|frames|values|compare)": _Api,
+        r"/runs/([^/]+)/([^/]+)": _RunPage,
+        r"/bus": _Listener,
+    }
     return web.Application(
-        [(pattern, handler, {"shared": shared}) for pattern, handler in handlers],
+        [(pattern, handler, {"shared": shared}) for pattern, handler in handlers.items()],
         default_handler_class=_Nothing,
         default_handler_args={"shared": shared},
         websocket_max_message_size=1 << 12,

@@ -199,8 +199,7 @@ class CsvReader(TextReader):
 
     def _header(self, text: str) -> Dialect:
         """Return the dialect of the log. Raises InputError if the header is unknown."""
-        dialect = _dialect(text)
-        if dialect is not None:
+        if dialect := _dialect(text):
             return dialect
         names = text.strip().split(",")
         if names[0] == "time_s":

@@ -38,9 +38,7 @@ class LogReader:
     ) -> None:
         self.path = path
         self._copy = copy
-        self.passed_bytes = 0.0
-        """How much of the file the reading under way has read."""
-
+        self.passed_bytes = 0.0  # how much of the file the reading under way has read
         self.size = os.path.getsize(path) if os.path.isfile(path) else 0
         self.format = format.name
         self._format = format

@@ -1,7 +1,4 @@
-"""The nodes of a scenario besides plant and controller: driver, other traffic, intruder.
-
-Also a participant whose clock drifts.
-"""
+"""Driver, other traffic and intruder of a scenario, and a participant whose clock drifts."""
 
 from __future__ import annotations
 
@@ -91,7 +88,7 @@ class _Load:
 
     def released(self, begin_ns: int) -> Released:
         """Return the frames of the window that begins at `begin_ns`."""
-        frames = []
+        frames: Released = []
         self._owed_ns += self._owed_per_window_ns
         while self._owed_ns > 0.0:
             frame = Frame(self._can_id(), self._random.randbytes(8))
@@ -100,12 +97,6 @@ class _Load:
             at_ns = begin_ns + self._random.randrange(self._instants) * _NS_PER_US
             frames.append((at_ns, frame))
         return frames
-
-
-def drawn_id(draw: random.Random, priority: int) -> int:
-    """Draw an identifier of other traffic."""
-    source = 0x80 + draw.randrange(TRAFFIC_NODES)
-    return join_id(priority, 0xFE00 + draw.randrange(TRAFFIC_NODES), source)
 
 
 class TrafficNode(Node):
@@ -119,7 +110,11 @@ class TrafficNode(Node):
 
     def __init__(self, load: float, priority: int, bitrate: int, seed: int) -> None:
         draw = random.Random(f"{seed}:traffic")
-        can_id = partial(drawn_id, draw, priority)
+
+        def can_id() -> int:
+            source = 0x80 + draw.randrange(TRAFFIC_NODES)
+            return join_id(priority, 0xFE00 + draw.randrange(TRAFFIC_NODES), source)
+
         self._load = _Load(load, TRAFFIC_WINDOW_NS, bitrate, draw, can_id)
         self._next_ns = 0
 
@@ -137,9 +132,9 @@ class IntruderNode(Node):
     name = INTRUDER
 
     def __init__(self, faults: Sequence[Intrusion], bitrate: int, seed: int) -> None:
+        draws = [random.Random(f"{seed}:intruder:{index}") for index in range(len(faults))]
         self._acts = [
-            _Intrusion(fault, bitrate, random.Random(f"{seed}:intruder:{index}"))
-            for index, fault in enumerate(faults)
+            _Intrusion(fault, bitrate, draw) for fault, draw in zip(faults, draws, strict=True)
         ]
         self._next_ns = 0
 
@@ -148,9 +143,8 @@ class IntruderNode(Node):
         if until_ns < self._next_ns:  # the run ends within a millisecond
             return [], self._next_ns
         self._next_ns = until_ns + INTRUDER_STEP_NS
-        return sorted(
-            pair for act in self._acts for pair in act.released(until_ns, deliveries)
-        ), self._next_ns
+        released = (pair for act in self._acts for pair in act.released(until_ns, deliveries))
+        return sorted(released), self._next_ns
 
 
 class _Intrusion:
@@ -170,11 +164,8 @@ class _Intrusion:
         if isinstance(fault, Replayed):
             late_ns = to_ns(fault.delay_s)
             can_id = can_id_of(getattr(messages, fault.message))
-            return [
-                (at + late_ns, frame)
-                for at, frame in deliveries
-                if frame.can_id == can_id and self._window.holds(at)
-            ]
+            repeated = (pair for pair in deliveries if pair[1].can_id == can_id)
+            return [(at + late_ns, frame) for at, frame in repeated if self._window.holds(at)]
         if isinstance(fault, Spoofed):
             return self._forged(fault, begin_ns)
         if isinstance(fault, Sent):
@@ -188,11 +179,10 @@ class _Intrusion:
         start_ns, period_ns = self._window.start_ns, to_ns(fault.period_s)
         first_ns = start_ns + max(0, -((start_ns - begin_ns) // period_ns)) * period_ns
         draw, length = self._random.randbytes, spec_of(kind).length
-        return [
-            (at, Frame(can_id_of(kind), draw(length)))
-            for at in range(first_ns, begin_ns + INTRUDER_STEP_NS, period_ns)
-            if self._window.holds(at)
-        ]
+        instants = filter(
+            self._window.holds, range(first_ns, begin_ns + INTRUDER_STEP_NS, period_ns)
+        )
+        return [(at, Frame(can_id_of(kind), draw(length))) for at in instants]
 
 
 class Drifting:

@@ -79,11 +79,7 @@ class _Phase(Enum):
 
 
 class VehicleNode(Node):
-    """The truck around the actuator; on the bus it has the driver's place.
-
-    The torque is out before the actuator is asked for another gear, and comes back when the firmware
-    has confirmed it. A shift that fails leaves the truck without torque.
-    """
+    """The truck around the actuator, in the driver's place; a shift that fails leaves it without torque."""
 
     name = "driver"
 
@@ -157,35 +153,33 @@ class VehicleNode(Node):
 
     def _due(self, now_ns: int, confirmed: Gear, speeds: DrivelineSpeeds | None) -> list[Frame]:
         """Return the frames of the messages that are due."""
-        due = {name for name, period_ns in PERIODS_NS.items() if now_ns % period_ns == 0}
-        frames = []
-        if "ShiftRequest" in due:
-            frames.append(self._request.protect(ShiftRequest(self._gear)))
         overrides = self._phase is not _Phase.DRIVE
-        if overrides or self._controls_engine:  # the last one says that it no longer does
+        controls, self._controls_engine = self._controls_engine, overrides
+        messages: dict[str, Any] = {
+            "Tc1": Tc1(self._numbers[self._wanted]),
+            "Eec1": self._eec1(overrides, speeds),
+            "Eec2": Eec2(self._config.torque, self._torque),
+            "Air1": self._air,
+        }
+        frames = []
+        if now_ns % PERIODS_NS["ShiftRequest"] == 0:
+            frames.append(self._request.protect(ShiftRequest(self._gear)))
+        if overrides or controls:  # the last one says that it no longer does
             frames.append(encode(self._tsc1(confirmed, speeds)))
-        self._controls_engine = overrides
-        if "Tc1" in due:
-            frames.append(encode(Tc1(self._numbers[self._wanted])))
-        if "Eec1" in due:
-            frames.append(encode(self._eec1(overrides, speeds)))
-        if "Eec2" in due:
-            frames.append(encode(Eec2(self._config.torque, self._torque)))
-        if "Air1" in due:
-            frames.append(encode(self._air))
+        due = (message for name, message in messages.items() if now_ns % PERIODS_NS[name] == 0)
+        frames += map(encode, due)
         return frames
 
     def _tsc1(self, confirmed: Gear, speeds: DrivelineSpeeds | None) -> Tsc1:
         """Ask for no torque in gear, for the speed of the next gear out of it."""
         if self._phase is _Phase.DRIVE:
             return Tsc1(OverrideMode.NONE)
-        ratio = self._ratios.get(self._gear)
+        ratio, no_torque = self._ratios.get(self._gear), Tsc1(OverrideMode.TORQUE, torque=0.0)
         if self._phase is _Phase.TORQUE_OUT or ratio is None or speeds is None:
-            return Tsc1(OverrideMode.TORQUE, torque=0.0)
+            return no_torque
         if confirmed is not Gear.NEUTRAL and speeds.referred is not self._gear:
-            return Tsc1(OverrideMode.TORQUE, torque=0.0)
-        speed_rad_s = speeds.output_rad_s * ratio
-        return Tsc1(OverrideMode.SPEED, speed_rad_s=max(0.0, speed_rad_s))
+            return no_torque
+        return Tsc1(OverrideMode.SPEED, speed_rad_s=max(0.0, speeds.output_rad_s * ratio))
 
     def _eec1(self, overrides: bool, speeds: DrivelineSpeeds | None) -> Eec1:
         speed_rad_s = None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -37,9 +38,6 @@ CHANNELS: dict[type, tuple[Fault, str]] = {
 }
 """What the firmware receives: the fault that tells the loss, and the setting of its timeout."""
 
-STATUS_ID = can_id_of(ControllerStatus)
-JUMP_M = 0.0005
-"""From sample to sample; after a larger step the low-pass filter may overshoot a window's edge."""
 UNSEEN = Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK
 
 
@@ -74,7 +72,8 @@ def _each_step(
         for frame in record.frames_of(can_id_of(kind))
         if not any(begin <= frame.arrival_ns / NS_PER_S <= end for begin, end in deaf_s)
     ]
-    begins = [round(f.released_ns - computation_ns) for f in record.frames_of(STATUS_ID)]
+    reports = record.frames_of(can_id_of(ControllerStatus))
+    begins = [round(report.released_ns - computation_ns) for report in reports]
     start_ns = min(begins[:1] + [frame.arrival_ns for frame in frames[:1]], default=0)
     # counts from the firmware's first step
     channel = Receiver(kind, E2eConfig(timeout_ns), max(start_ns, 0))
@@ -110,24 +109,17 @@ def blind_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     for step in _steps(record, circumstances, PositionPulse):
         blind_s = step.at_s - step.valid_s
         if step.status.confirmed != Gear.UNKNOWN and blind_s > _grace_s(circumstances):
-            gear = step.status.confirmed.name.lower()
-            return (
-                step.at_s,
-                f"{gear} is confirmed {1e3 * blind_s:.0f} ms after the last valid sample",
-            )
+            what = f"is confirmed {1e3 * blind_s:.0f} ms after the last valid sample"
+            return step.at_s, f"{step.status.confirmed.name.lower()} {what}"
     return None
 
 
 def unrequested_push(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No push begins out of rest without a valid request."""
-    before: _Step | None = None
-    for step in _steps(record, circumstances, ShiftRequest):
-        rested = before is not None and before.status.state is ShiftState.IDLE
-        deaf_s = step.at_s - step.valid_s
-        pushes = rested and step.status.state is ShiftState.PUSH
-        if pushes and deaf_s > _grace_s(circumstances):
+    for before, step in pairwise(_steps(record, circumstances, ShiftRequest)):
+        states, deaf_s = (before.status.state, step.status.state), step.at_s - step.valid_s
+        if states == (ShiftState.IDLE, ShiftState.PUSH) and deaf_s > _grace_s(circumstances):
             return step.at_s, f"a push begins {1e3 * deaf_s:.0f} ms after the last valid request"
-        before = step
     return None
 
 
@@ -176,11 +168,10 @@ def unsampled_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
     confirmed = None
     for step, run, window in _windows(record, circumstances):
         gear = step.status.confirmed
-        if confirmed is not None and gear not in (confirmed, Gear.UNKNOWN):
-            in_row = run if gear is window else 0
-            if in_row < wanted:
-                what = f"{gear.name.lower()} is confirmed after {in_row} samples in a row within its window; it takes {wanted}"
-                return step.at_s, what
+        in_row = run if gear is window else 0
+        if confirmed is not None and gear not in (confirmed, Gear.UNKNOWN) and in_row < wanted:
+            what = f"{gear.name.lower()} is confirmed after {in_row} samples in a row within its window; it takes {wanted}"
+            return step.at_s, what
         confirmed = gear
     return None
 
@@ -210,7 +201,8 @@ def unconfirmed_gear(record: RunRecord, circumstances: Circumstances) -> Broken:
         before = min(before, run) if rests else run
         for pulse in step.arrived:
             last_m, position_m = position_m, _measured_m(pulse, control.sensor)
-            steady = steady + 1 if abs(position_m - last_m) < JUMP_M else 0
+            # after a larger step the low-pass filter may overshoot a window's edge
+            steady = steady + 1 if abs(position_m - last_m) < 0.0005 else 0
         in_row = min(run - before, steady)
         if in_row >= wanted and window is not Gear.UNKNOWN and status.confirmed == Gear.UNKNOWN:
             what = f"{window.name.lower()} is not confirmed after {in_row} samples in a row"

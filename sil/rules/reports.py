@@ -48,8 +48,8 @@ def accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
 def falsely_reported(record: RunRecord, windows: WindowConfig) -> NDArray[np.bool_]:
     """Return at which rows [n] of the trace a gear is reported that the stay is not in.
 
-    A report counts from its arrival to the next one's, at most REPORT_HOLDS_S. The limit is twice
-    the window's width, because the sensor's tick, noise and temperature shift the firmware's window.
+    A report counts until the next one arrives, at most REPORT_HOLDS_S; the limit is twice the window's
+    width, because the sensor's tick, noise and temperature shift the firmware's window.
     """
     status = accepted(record, ControllerStatus)
     time_s, position_m = record.truth["time_s"], record.truth["position_m"]

@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
+from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,9 +99,8 @@ def _energised(record: RunRecord, closed: float) -> dict[Chamber, list[float]]:
     """Return when, s, the controller sent a command or a blow that energises each chamber's coil."""
     on: dict[Chamber, set[float]] = {Chamber.B: set(), Chamber.N: set(), Chamber.F: set()}
     for at_s, command in sent(record, ValveCommand):
-        duties = (command.duty_b, command.duty_n, command.duty_f)
-        for times, duty in zip(on.values(), duties, strict=True):
-            if duty > closed:
+        for chamber, times in on.items():
+            if getattr(command, f"duty_{chamber.name.lower()}") > closed:
                 times.add(at_s)
     for at_s, blow in sent(record, SafetyBlow):
         if blow.active and blow.chamber in on:
@@ -115,9 +116,9 @@ def _opposed_chambers(record: RunRecord, circumstances: Circumstances) -> Broken
     for chamber, opposite in ((Chamber.B, Chamber.F), (Chamber.F, Chamber.B)):
         for at_s in on[chamber]:
             before = bisect_right(on[opposite], at_s)
-            if before and at_s - on[opposite][before - 1] < least_s:
-                gap_ms = 1e3 * (at_s - on[opposite][before - 1])
-                return at_s, f"{chamber.name} is filled {gap_ms:.0f} ms after {opposite.name}"
+            gap_s = at_s - on[opposite][before - 1] if before else math.inf
+            if gap_s < least_s:
+                return at_s, f"{chamber.name} is filled {1e3 * gap_s:.0f} ms after {opposite.name}"
     return None
 
 
@@ -142,12 +143,11 @@ def _coil_on_time(record: RunRecord, circumstances: Circumstances) -> Broken:
 
 def _request_changes(record: RunRecord) -> Iterator[tuple[float, ShiftRequest, float]]:
     """Yield arrival in s of each changed request, the request, and until when it is the present one."""
-    changes: list[tuple[float, ShiftRequest]] = []
-    for entry, message in record.each(ShiftRequest):
-        if not changes or changes[-1][1] != message:
-            changes.append((entry.arrival_ns / NS_PER_S, message))
-    for k, (at_s, message) in enumerate(changes):
-        yield at_s, message, changes[k + 1][0] if k + 1 < len(changes) else math.inf
+    groups = (next(same) for _, same in groupby(record.each(ShiftRequest), itemgetter(1)))
+    changes = [(entry.arrival_ns / NS_PER_S, message) for entry, message in groups]
+    ends_s = [at_s for at_s, _ in changes[1:]] + [math.inf]
+    for (at_s, message), end_s in zip(changes, ends_s, strict=False):
+        yield at_s, message, end_s
 
 
 def _answer_s(circumstances: Circumstances, before: ControllerStatus | None, target: Gear) -> float:
@@ -292,11 +292,11 @@ def _cut_short(record: RunRecord, circumstances: Circumstances) -> Broken:
 def _unnamed_fault(record: RunRecord, circumstances: Circumstances) -> Broken:
     """No fault state is reported without the fault that led to it."""
     unnamed = ~(Fault.REQUEST_LOST | Fault.SPEEDS_LOST | Fault.REQUEST_INVALID)
-    states = (
-        (at_s, m) for at_s, m in sent(record, ControllerStatus) if m.state is ShiftState.FAULT
-    )
     what = "the fault state is reported without a fault"
-    return next(((at_s, what) for at_s, m in states if not m.faults & unnamed), None)
+    for at_s, status in sent(record, ControllerStatus):
+        if status.state is ShiftState.FAULT and not status.faults & unnamed:
+            return at_s, what
+    return None
 
 
 def _internal_fault(record: RunRecord, circumstances: Circumstances) -> Broken:

@@ -34,10 +34,7 @@ from sil.swarm.shrink import shrink
 
 
 class Attempt(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of a scenario.
-
-    refused: why it is no valid scenario. transitions: how often each change of state was reported.
-    """
+    """What came of a scenario; refused: why it is no valid one; transitions: counts of changes of state."""
 
     refused: str = ""
     violations: list[Violation] = []
@@ -190,10 +187,7 @@ def size_of(table: Table) -> tuple[int, float]:
 
 
 def stored_generations(folder: Path, digest: str) -> Iterable[Generation]:
-    """Return the generations that an interrupted swarm finished; a torn last line is dropped.
-
-    Raises InputError if the file is not that of a swarm, or that of another one.
-    """
+    """Return the generations of an interrupted swarm, without a torn line. Raises InputError for another one."""
     path = folder / SWARM_FILE
     try:
         content = path.read_bytes()

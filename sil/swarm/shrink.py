@@ -21,19 +21,18 @@ Judge = Callable[[Mapping[str, Any]], Violation | None]
 def shrink(table: Mapping[str, Any], broken: Judge, runs: int = 400) -> Table:
     """Return a table with fewer faults and requests, shorter, and with rounder numbers.
 
-    broken: returns where a table breaks the rule, None if it keeps it. Takes the first simpler table that still fails, until none does or `runs` are spent.
+    broken: returns where a table breaks the rule, None if it keeps it. Takes the first simpler table that
+    still fails, until none does or `runs` are spent.
     """
     smallest = copy.deepcopy(dict(table))
-    progressed = True
-    while progressed:
-        progressed = False
-        for simpler in _simpler(smallest, broken):
-            runs -= 1
-            if runs < 0:
-                return smallest
-            if simpler != smallest and broken(simpler):
-                smallest, progressed = simpler, True
-                break
+    candidates = _simpler(smallest, broken)
+    for _ in range(runs):
+        simpler = next(candidates, None)
+        if simpler is None:
+            break
+        if simpler != smallest and broken(simpler):
+            smallest = simpler
+            candidates = _simpler(smallest, broken)
     return smallest
 
 
