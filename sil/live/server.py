@@ -200,7 +200,11 @@ class _Listener(websocket.WebSocketHandler):
         if self.ended.is_set() or not isinstance(message, str) or not message.isprintable():
             self.close(1003, "expected the name of a local bus, once")
             return
-        send = partial(asyncio.get_running_loop().call_soon_threadsafe, self._send)
+        loop = asyncio.get_running_loop()
+
+        def send(text: str) -> None:
+            loop.call_soon_threadsafe(self._send, text)
+
         threading.Thread(target=_listen, args=(message, self.ended, send), daemon=True).start()
 
     def _send(self, text: str) -> None:
