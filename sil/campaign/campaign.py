@@ -261,14 +261,14 @@ def misspelt_columns(
             near = [m for m in missing if m.startswith(word)] or nearest(word, missing, 1)
             if near:
                 files.setdefault((name, near[0]), []).append(entry.file)
-    return [
-        (
-            names[0] + (f" and {len(names) - 1} more" if names[1:] else ""),
-            name,
-            f"column not used, and {near} is missing; expected that name, or a map in [columns]",
+    problems = []
+    for (name, lacking), (first, *others) in files.items():
+        more = f" and {len(others)} more" if others else ""
+        what = (
+            f"column not used, and {lacking} is missing; expected that name, or a map in [columns]"
         )
-        for (name, near), names in files.items()
-    ]
+        problems.append((first + more, name, what))
+    return problems
 
 
 def load_campaign(path: str | Path) -> Campaign:
@@ -447,8 +447,9 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     """Return the text of campaign.toml for a campaign."""
-    keys = ["kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s"]
-    keys += ["commands", "charged_before"]
+    keys = (
+        "kind supply_pressure_pa load spring_n_per_m start_offset_m rest_s commands charged_before"
+    )
     recorder = campaign.recorder
     top: dict[str, object] = {key: getattr(campaign, key) for key in TOP}
     top |= {"pressures": "gauge"} if recorder.gauge_pa else {}
@@ -457,7 +458,7 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     for stroke in strokes:
         c = stroke.conditions
         values: dict[str, object] = {"file": stroke.file, "label": stroke.label}
-        values |= {key: getattr(c, key) for key in keys}
+        values |= {key: getattr(c, key) for key in keys.split()}
         values["supply_pressure_pa"] = c.supply_pressure_pa - recorder.gauge_pa
         if c.load == "damper":
             values["damper_model"] = c.damper_model

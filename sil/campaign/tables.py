@@ -135,8 +135,11 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
             break
         first -= 1
         same.pop()
+    if not same and first and len(above[first - 1]) > 1 and name != "blank":
+        expected = f"{len(above[first - 1])} as in the line above"
+        raise InputError(f"{path}: line {first + 1}: {width} cells, expected {expected}")
     if not same:
-        return _unnamed(path, above, first, width, name)
+        return _Layout([f"column_{k + 1}" for k in range(width)], first, name, ["no header row"])
     names, header, notes = same[-1], above[same[-1]], []
     if len(same) > 1 and _has_units(header, above[same[-2]]):
         names, notes = same[-2], ["units in a row of their own"]
@@ -151,17 +154,6 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         what = f"column {twice[0]!r} twice; expected each name once"
         raise InputError(f"{path}: line {names + 1}: {what}")
     return _Layout(header, first, name, notes)
-
-
-def _unnamed(
-    path: Path, above: Sequence[Sequence[str]], first: int, width: int, name: str
-) -> _Layout:
-    """Return the layout of a table without names. Raises InputError if the line above may be some."""
-    if first and len(above[first - 1]) > 1 and name != "blank":
-        raise InputError(
-            f"{path}: line {first + 1}: {width} cells, expected {len(above[first - 1])} as in the line above"
-        )
-    return _Layout([f"column_{k + 1}" for k in range(width)], first, name, ["no header row"])
 
 
 def _delimiter(line: str, text_too: bool) -> str:
@@ -254,10 +246,8 @@ def _columns(
             usual = max(set(zoned) - {None}, key=zoned.count)
             for k, moment in enumerate(moments):
                 if moment is None or zoned[k] != usual:
-                    raise InputError(
-                        f"{path}: line {layout.first + k + 1}: {cells[k][:30]!r} is not a number; expected "
-                        f"a time stamp as those of {name}"
-                    )
+                    what = f"{cells[k][:30]!r} is not a number; expected a time stamp as those of {name}"
+                    raise InputError(f"{path}: line {layout.first + k + 1}: {what}")
             stamps = [moment for moment in moments if moment]
             columns[name] = np.array([(m - stamps[0]).total_seconds() for m in stamps])
             notes.append(f"{name} in seconds from {cells[0]}")
@@ -267,16 +257,14 @@ def _columns(
             others.discard("")
         if others:
             k = next(k for k, cell in enumerate(cells) if cell in others)
-            raise InputError(
-                f"{path}: line {layout.first + k + 1}: {cells[k][:30]!r} is not a number; expected one"
-            )
+            what = f"{cells[k][:30]!r} is not a number; expected one"
+            raise InputError(f"{path}: line {layout.first + k + 1}: {what}")
         text = "\n".join(cells[k] for k in filled).replace(group, "").replace(decimal, ".")
         values = np.array(text.replace("d", "e").replace("D", "e").split("\n"), dtype=np.float64)
         if not np.all(np.isfinite(values)):
             k = filled[int(np.argmin(np.isfinite(values)))]
-            raise InputError(
-                f"{path}: line {layout.first + k + 1}: {cells[k]!r} is not finite; expected a number"
-            )
+            what = f"{cells[k]!r} is not finite; expected a number"
+            raise InputError(f"{path}: line {layout.first + k + 1}: {what}")
         if plain:
             notes.append(f"{name} interpolated from a slower rate")
             values = np.interp(np.arange(len(cells)), filled, values)

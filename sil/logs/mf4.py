@@ -17,13 +17,7 @@ from can_dbc.errors import InputError
 from can_dbc.frame import MAX_ID
 from sil.files.extras import import_extra
 from sil.logs.format import Batch, Format, time_base
-from sil.logs.frame import (
-    DLC_LENGTHS,
-    MAX_STANDARD_ID,
-    MAX_TIME_NS,
-    LogFrame,
-    frame_problem,
-)
+from sil.logs.frame import DLC_LENGTHS, MAX_STANDARD_ID, MAX_TIME_NS, LogFrame, frame_problem
 from sil.logs.report import Location, LogReport, printable
 from sil.logs.source import ByteSource
 from sil.logs.writer import LogWriter
@@ -46,9 +40,9 @@ def import_asammdf(path: str) -> Any:
 
 
 def new_measurement(path: str, start_ns: int) -> Any:
-    """Return an empty MDF 4.10 measurement that starts at `start_ns` (0: relative times).
+    """Return an empty MDF 4.10 measurement from `start_ns` (0: relative times), whatever the wall clock shows.
 
-    Nothing in it depends on the wall clock. Raises InputError if asammdf is missing.
+    Raises InputError if asammdf is missing.
     """
     asammdf = import_asammdf(path)
     from asammdf.blocks.v4_blocks import FileHistory
@@ -90,9 +84,8 @@ class Mf4File:
         asammdf = import_asammdf(report.path)
         if not is_mf4(source.head):
             version = printable(source.head[8:16].decode("latin-1").strip("\x00 "))
-            what = (
-                f"MDF version {version!r}" if _recognise(source.head) else "byte 0: no MDF header"
-            )
+            is_mdf = _recognise(source.head)
+            what = f"MDF version {version!r}" if is_mdf else "byte 0: no MDF header"
             raise InputError(f"{report.path}: {what}; expected MDF 4")
         content = bytearray()
         while block := source.read(1 << 20):
@@ -135,9 +128,8 @@ class Mf4File:
                 bus = names[-1].split(".")[0].split("_")[0].upper()
                 is_bus = bus in ("LIN", "FLEXRAY", "ETH", "MOST", "K-LINE", "CAN")
                 name = names[-1].split(".")[0].replace("_", " ")
-                self.report.other[name if is_bus else "record of decoded signals"] += (
-                    group.channel_group.cycles_nr
-                )
+                name = name if is_bus else "record of decoded signals"
+                self.report.other[name] += group.channel_group.cycles_nr
         return groups
 
     def signal_groups(self) -> list[int]:
@@ -163,11 +155,11 @@ class Mf4File:
                 raise ValueError(f"{kind} without a time")
             if "ID" not in parts and kind != "CAN_ErrorFrame":
                 raise ValueError(f"{kind} without an ID")
-            signals = {
-                part: self.mdf.get(group=number, index=index) for part, index in parts.items()
+            columns = {
+                part: self.mdf.get(group=number, index=index).samples
+                for part, index in parts.items()
             }
-            times_s = self.mdf.get_master(number)
-        return {part: signal.samples for part, signal in signals.items()}, times_s
+            return columns, self.mdf.get_master(number)
 
 
 def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
@@ -197,9 +189,8 @@ def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
             columns, times_s = file.columns(number, kind)
             ordered = ordered and "Order" in columns
             order = columns["Order"] if ordered else times_s
-            frames += zip(
-                order.tolist(), _frames(kind, columns, times_s, header.abs_time), strict=True
-            )
+            group_frames = _frames(kind, columns, times_s, header.abs_time)
+            frames += zip(order.tolist(), group_frames, strict=True)
             file.frames = len(frames)
             if len(times_s) < stated:
                 report.cut(Location(f"{len(times_s)} of {stated} {kind} records"))
@@ -339,10 +330,8 @@ class Mf4Writer(LogWriter):
         exact_ns = 4_000_000 * 10**9  # up to here seconds in a double are exact to the ns
         for frame in frames:
             self.direction(frame)
-            self.lose(
-                abs(frame.time_ns - self.start_ns) > exact_ns,
-                "times more than 46 days from the start, rounded",
-            )
+            is_far = abs(frame.time_ns - self.start_ns) > exact_ns
+            self.lose(is_far, "times more than 46 days from the start, rounded")
             self.lose(frame.error and frame.remote, "remote flag of an error frame")
         # whole seconds and the rest apart: one rounding, to the double nearest to the decimal
         return rows, offsets_ns // 10**9 + (offsets_ns % 10**9) / 1e9

@@ -64,10 +64,7 @@ def comment_of(name: str) -> str:
 
 
 def is_trace_csv(path: str) -> bool:
-    """Return whether a file is a table of signals: CSV with time_s first that is no log of frames.
-
-    Raises InputError if it cannot be read.
-    """
+    """Return whether a file is a CSV of signals, time_s first. Raises InputError if it cannot be read."""
     if not path.removesuffix(".gz").lower().endswith(".csv"):
         return False
     names = _header(path)
@@ -81,10 +78,7 @@ def _header(path: str) -> list[str]:
 
 
 def _table(path: str, names: list[str]) -> NDArray[Any]:
-    """Return the rows of a trace, [rows, columns], the time first in s.
-
-    Raises InputError at a broken row: no row of a trace can be left out.
-    """
+    """Return the rows of a trace, [rows, columns], the time first in s. Raises InputError at a broken row."""
     import numpy as np
 
     count, last_s = len(names), float("-inf")
@@ -97,17 +91,15 @@ def _table(path: str, names: list[str]) -> NDArray[Any]:
                 continue
             where = f"{path}: line {line.number}"
             try:
-                values = [float(word) if word else float("nan") for word in text.split(",")]
+                values = [float(word or "nan") for word in text.split(",")]
             except ValueError:
-                raise InputError(
-                    f"{where}: {text[:40]!r} is not numbers; expected {count}"
-                ) from None
+                what = f"{text[:40]!r} is not numbers; expected {count}"
+                raise InputError(f"{where}: {what}") from None
             if len(values) != count:
                 raise InputError(f"{where}: {len(values)} columns; expected {count}")
             if not values[0] >= last_s:
-                raise InputError(
-                    f"{where}: time {values[0]} s after {last_s} s; expected times that do not fall"
-                )
+                what = f"time {values[0]} s after {last_s} s; expected times that do not fall"
+                raise InputError(f"{where}: {what}")
             last_s = values[0]
             cells.extend(values)
     finally:
@@ -128,7 +120,7 @@ def written(path: str) -> Iterator[BinaryIO]:
 
 
 def trace_to_mf4(source: str, target: str) -> TraceReport:
-    """Write a trace as one MF4 group with time in s and every signal with its unit and comment.
+    """Write a trace as one MF4 group, every signal with its unit and comment.
 
     Raises InputError for a torn trace, a time that falls, or when asammdf is missing.
     """
@@ -158,10 +150,7 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
 
 
 def holds_signals_only(path: str) -> bool:
-    """Return whether a file is an MF4 with decoded signals and without CAN frames.
-
-    A broken file is none: whoever reads it names what is wrong.
-    """
+    """Return whether a file is an MF4 with decoded signals and without CAN frames; a broken one is none."""
     source = ByteSource(path, LogReport(path, "mf4"))
     try:
         if source.packed or not is_mf4(source.head):

@@ -6,7 +6,7 @@ import random
 from typing import Any
 
 from sil.simulation.load_scenario import Loaded, from_table
-from sil.swarm.vocabulary import FaultKind, state, vocabulary
+from sil.swarm.draw import FaultKind, state, vocabulary
 
 SHIFTS = {"N-B": ("neutral", "backward"), "B-N": ("backward", "neutral"),
           "N-F": ("neutral", "forward"), "F-N": ("forward", "neutral"),

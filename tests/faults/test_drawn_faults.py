@@ -19,7 +19,7 @@ from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import from_table
 from sil.simulation.scenario import FAULT_TABLES, Scenario
 from sil.studies.load_study import load_study
-from sil.swarm.vocabulary import state, vocabulary
+from sil.swarm.draw import state, vocabulary
 from tests.faults.drawn import base, draw, faults_of
 
 

@@ -19,10 +19,7 @@ from sil.campaign.tables import Decimal, read_columns
 
 TIME = np.arange(40) / 1000.0
 POSITION = 0.01 * np.sin(50.0 * TIME)
-MAPS = {
-    "time_s": ColumnMap("t [ms]", 1e-3),
-    "position_m": ColumnMap("x [mm]", 1e-3),
-}
+MAPS = {"time_s": ColumnMap("t [ms]", 1e-3), "position_m": ColumnMap("x [mm]", 1e-3)}
 
 
 def read_record(file: Path, columns: dict[str, ColumnMap] | None = None) -> Record:

@@ -19,9 +19,7 @@ def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
         raise KeyboardInterrupt
     assert target.read_text() == "old"
     write_atomically(target, "new")
-    assert target.read_text() == "new" and os.listdir(tmp_path) == [
-        "result.json",
-    ]
+    assert target.read_text() == "new" and os.listdir(tmp_path) == ["result.json"]
 
 
 def test_a_name_that_is_not_utf8_is_written_as_json_escapes_it(tmp_path: Path) -> None:

@@ -16,12 +16,7 @@ from can_dbc.errors import InputError
 from sil import cli
 from sil.files import output_folder
 from sil.files.atomic import write_atomically
-from sil.files.output_folder import (
-    close_folders,
-    locked_folder,
-    prepare_folder,
-    reopen_folder,
-)
+from sil.files.output_folder import close_folders, locked_folder, prepare_folder, reopen_folder
 from tests.conftest import ROOT
 
 
@@ -225,11 +220,7 @@ def test_the_lock_of_a_removed_folder_is_not_taken_for_the_new_one(tmp_path: Pat
     assert close_folders("bad input") == [] and not out.exists()
 
 
-COMMANDS = [
-    ["run", "lab_n_b"],
-    ["replay", "{golden}/lab_n_b.log.gz"],
-    ["whatif", "sensor_delay"],
-]
+COMMANDS = [["run", "lab_n_b"], ["replay", "{golden}/lab_n_b.log.gz"], ["whatif", "sensor_delay"]]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])

@@ -119,9 +119,7 @@ def test_an_added_request_leaves_what_was_before_it() -> None:
     first = bench.compare(earlier, earlier, KNOWN)
     requests = [*(msgspec.convert(r, Request) for r in first["requests"])]
     later = Asked(
-        scenario="lab_n_b",
-        requests=[*requests, Request(at_s=0.4, gear="neutral")],
-        duration_s=1.1,
+        scenario="lab_n_b", requests=[*requests, Request(at_s=0.4, gear="neutral")], duration_s=1.1
     )
     second = bench.compare(later, later, KNOWN)
     until = first["time_ms"].index(400.0)

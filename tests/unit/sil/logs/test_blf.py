@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log
-from sil.logs import blf_objects as blf
-from sil.logs.blf import BlfReader
-from sil.logs.blf_objects import FRAME_LAYOUTS as LAYOUTS
-from sil.logs.blf_objects import ObjectType
+from sil.logs import blf
+from sil.logs.blf import FRAME_LAYOUTS as LAYOUTS
+from sil.logs.blf import BlfReader, ObjectType
 from sil.logs.report import LogReport
 
 START_NS = 1_700_000_000_123 * 10**6

@@ -127,18 +127,10 @@ FORMS: dict[str, tuple[str, list[LogFrame]]] = {
         "absolute",
         [
             frame(
-                1612543138 * 10**6,
-                0x18EF000B,
-                "0000001B000000B4",
-                extended=True,
-                channel="vcan0",
+                1612543138 * 10**6, 0x18EF000B, "0000001B000000B4", extended=True, channel="vcan0"
             ),
             frame(
-                1612543138001 * 1000,
-                0x0CF00400,
-                "0041FF20481400F0",
-                extended=True,
-                channel="vcan0",
+                1612543138001 * 1000, 0x0CF00400, "0041FF20481400F0", extended=True, channel="vcan0"
             ),
         ],
     ),

@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_writer
-from sil.logs.frame import (
-    DLC_LENGTHS,
-    all_ordinary,
-    frame_problem,
-    ordinary_frame,
-)
+from sil.logs.frame import DLC_LENGTHS, all_ordinary, frame_problem, ordinary_frame
 
 
 def test_length_codes_of_the_standard() -> None:

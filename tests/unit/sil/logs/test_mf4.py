@@ -14,13 +14,7 @@ import pytest
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.traces import holds_signals_only
-from tests.unit.sil.logs.mf4_builder import (
-    DATA_FRAME,
-    Field,
-    Mf4Builder,
-    logger_file,
-    signal_file,
-)
+from tests.unit.sil.logs.mf4_builder import DATA_FRAME, Field, Mf4Builder, logger_file, signal_file
 
 START_NS = 1_700_000_000 * 10**9
 Events = Sequence[tuple[int, int, bytes]]

@@ -28,8 +28,7 @@ def test_nanoseconds_survive_as_text(time_ns: int) -> None:
 
 @settings(deadline=None)
 @given(
-    st.from_regex(r"\A[+-]?[0-9]{1,9}(\.[0-9]{0,20})?\Z"),
-    st.sampled_from((1, 1000, 10**6, 10**9)),
+    st.from_regex(r"\A[+-]?[0-9]{1,9}(\.[0-9]{0,20})?\Z"), st.sampled_from((1, 1000, 10**6, 10**9))
 )
 def test_parsing_agrees_with_decimal(text: str, unit_ns: int) -> None:
     with localcontext() as context:
