@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, open_log
-from sil.logs import blf
+from sil.logs import LogFrame, blf, open_log
 from sil.logs.blf import FRAME_LAYOUTS as LAYOUTS
 from sil.logs.blf import BlfReader, ObjectType
 from sil.logs.report import LogReport
