@@ -65,7 +65,7 @@ def open_log(
     name = os.fspath(path)
     if times not in ("auto", "delta", "recorded"):
         raise InputError(f"{name}: times {times!r}; expected auto, delta or recorded")
-    log_format = format and _format_named(format)
+    log_format = None if format is None else _format_named(format)
     copy = copy_of_stream(name)
     source = ByteSource(name, LogReport(name, "unknown"), copy.name if copy else None)
     source.close()
