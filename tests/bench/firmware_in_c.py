@@ -21,8 +21,7 @@ from sil.firmware.contract import header, pack_step
 from sil.firmware.load import SHIPPED_IN_C
 from sil.simulation.load_scenario import load
 from sil.simulation.loop import Loop
-from tests.support.drawn_inputs import drawn_config, feed
-from tests.support.twins import run_with_twins
+from tests.support.twins import drawn_config, feed, run_with_twins
 from tests.unit.sil.firmware.test_c_firmware import varied
 
 DRAWN = 10_000

@@ -11,7 +11,7 @@ from pathlib import Path
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from tests.browser.conftest import started
-from tests.browser.live_page import Live, Page
+from tests.browser.test_live import Live, Page
 
 MOVES = 60
 NAME = "truck_into_gear_easy"

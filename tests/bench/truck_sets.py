@@ -15,8 +15,7 @@ import numpy as np
 from plant.effects import CATALOGUE
 from sil.cli import main
 from sil.inference.candidate import scaled_of
-from tests.support.truck_logs import ALARMS, drawn_cause, share
-from tests.support.truck_sets import drawn_set
+from tests.support.truck_logs import ALARMS, drawn_cause, drawn_set, share
 
 
 def one(seed: int, is_faulty: bool) -> dict[str, Any]:

@@ -99,13 +99,8 @@ def of_compare(folder: Path) -> list[str]:
 
 def of_replay(folder: Path) -> list[str]:
     assert main(["run", "full_shift", "--no-report", "--out", str(folder / "run")]) == 0
-    return [
-        "replay",
-        str(folder / "run" / "bus.log"),
-        "--set",
-        "controller.filter=false",
-        "--plant",
-    ]
+    log = str(folder / "run" / "bus.log")
+    return ["replay", log, "--set", "controller.filter=false", "--plant"]
 
 
 def of_truck(folder: Path) -> list[str]:

@@ -10,16 +10,17 @@ from sil.simulation.safety import figures
 
 SCENARIOS = Path(__file__).parent / "disturbed"
 NAMES = (
-    *("quiet", "load_50", "load_70", "load_90", "load_120", "babbling", "babbling_for_good"),
-    *(
+    *[
+        "quiet",
+        "load_50",
+        "load_70",
+        "load_90",
+        "load_120",
+        "babbling",
+        "babbling_for_good",
         "bus_off",
-        "error_frames",
-        "spoofed",
-        "spoofed_at_rest",
-        "replayed",
-        "replayed_300ms",
-        "drift",
-    ),
+    ],
+    *["error_frames", "spoofed", "spoofed_at_rest", "replayed", "replayed_300ms", "drift"],
 )
 
 

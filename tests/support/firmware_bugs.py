@@ -61,9 +61,7 @@ BUGS = {
         "machine.served = seen->requested;\n    if (seen->now_ns >= machine.until_ns)\n        change(VENT_OVER);",
     ),
     "repeated_counter_accepted": Bug(
-        "opc4.h",
-        "        return OPC4_E2E_REPEATED;",
-        "        return OPC4_E2E_OK;",
+        "opc4.h", "        return OPC4_E2E_REPEATED;", "        return OPC4_E2E_OK;"
     ),
     "debounce_from_the_wrong_start": Bug(
         "position.h",

@@ -1,7 +1,4 @@
-"""Plain bodies whose force is held from sample to sample, without a controller, exact between samples.
-
-True sticking, rounded sensors, a file for each stroke: another kind of record than that of `bodies`.
-"""
+"""Plain bodies whose force is held from sample to sample, without a controller, exact between samples."""
 
 from __future__ import annotations
 
@@ -30,11 +27,8 @@ def held_force(shape: str, t: np.ndarray, rng: np.random.Generator) -> np.ndarra
 
 def position_m(force_n: np.ndarray, step_s: float, body: dict[str, float]) -> np.ndarray:
     """Return the position [n] of a body from rest under a force [n] that each step holds."""
-    mass, coulomb, rate = (
-        body["mass_kg"],
-        body["coulomb_n"],
-        body["viscous_n_s_m"] / body["mass_kg"],
-    )
+    mass, coulomb = body["mass_kg"], body["coulomb_n"]
+    rate = body["viscous_n_s_m"] / mass
     x, v, found = 0.0, 0.0, np.empty(len(force_n))
     for k, held in enumerate(force_n):
         found[k] = x
@@ -56,10 +50,7 @@ def position_m(force_n: np.ndarray, step_s: float, body: dict[str, float]) -> np
 
 
 def draw_held(folder: Path, seed: int, uneven: float = 1.0) -> dict[str, float]:
-    """Write a campaign of one plain body; return what is true of it.
-
-    uneven: up to this many times the noise in each file.
-    """
+    """Write a campaign of one body, noise up to `uneven` times in each file; return what is true."""
     rng = np.random.default_rng([seed, 98])
     rate = float(rng.choice([250.0, 500.0, 1000.0]))
     mass = 10.0 ** rng.uniform(-0.3, 2.0)

@@ -1,10 +1,7 @@
 """Hidden effects: how often the diagnosis finds what an independent implementation hid.
 
-Campaigns are made by the judge of the tests (its own equations, scipy's solver), one by one, each
-drawn from its number; what was found is stored line by line, so a stopped study goes on where it was.
-$OPC4_STUDY names the folder (runs/hidden_effects), $OPC4_STUDY_CAMPAIGNS how many numbers (200), $OPC4_FIRST
-the first (0); $OPC4_CASES limits it to cases such as "none,foreign".
-Checked by: tests/hidden_effects/test_scoring.py
+Rows are stored one by one in $OPC4_STUDY, so that a stopped study goes on; $OPC4_STUDY_CAMPAIGNS: how many,
+$OPC4_FIRST: from which number on, $OPC4_CASES: only such as "none,foreign".
 """
 
 from __future__ import annotations
@@ -27,11 +24,7 @@ BINS = (0.0, 0.3, 0.6, 0.9, 1.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One campaign: what was hidden, what was found.
-
-    found: (id, class, probability), most probable first; before, after: standardised residual of
-    the held-out strokes.
-    """
+    """What was hidden and found: (id, class, probability); residuals held out, standardised."""
 
     number: int
     case: str

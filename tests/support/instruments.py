@@ -1,10 +1,7 @@
-"""Other instruments: campaigns re-sampled, with more noise, without gauges, and how they are judged.
+"""Other instruments: campaigns re-sampled, noisier, without gauges (`python -m tests.bench instruments`).
 
-Every cell holds the campaigns of $OPC4_CAMPAIGNS (folders `example` and `blind_*`) and clean ones made
-by the judge of the tests. What was found is stored line by line in $OPC4_STUDY (runs/instruments), so a
-stopped study continues; $OPC4_CELLS limits it to cells such as "1000x2,100x1-" (- means without gauges),
-$OPC4_ONLY to campaigns such as "example,clean_901".
-`python -m tests.bench instruments` prints what is wrong and a table.
+Cells hold the campaigns of $OPC4_CAMPAIGNS and clean ones; results are stored in $OPC4_STUDY, so that a
+stopped study continues. $OPC4_CELLS ("1000x2,100x1-", -: no gauges) and $OPC4_ONLY limit it.
 """
 
 from __future__ import annotations
@@ -105,10 +102,7 @@ def outcome(causes: list[dict[str, Any]], found: dict[str, Any]) -> str:
 
 
 def _noticeable(cause: dict[str, Any], found: dict[str, Any]) -> bool:
-    """Return whether a cause of this size should have been noticed, by the diagnosis' own limits.
-
-    Those say nothing of a cause with other values of its other parameters.
-    """
+    """Return whether a cause should have been noticed by the limits, stated for like parameters."""
     limits = next((item for item in found["detectable"] if item["id"] == cause["id"]), None)
     if limits is None:
         return False

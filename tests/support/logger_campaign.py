@@ -1,7 +1,4 @@
-"""The measured files of `opc4 example logger`: simulated strokes in the layout of a data logger.
-
-`python -m tests.support.logger_campaign sil/examples/logger` writes them.
-"""
+"""Writes the files of `opc4 example logger`: `python -m tests.support.logger_campaign sil/examples/logger`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""A small measured campaign, made by the model with noise: for tests of the diagnosis' parts.
-
-(The hidden-effect study uses an implementation of its own; here only the machinery is tested.)
-"""
+"""A small measured campaign, made by the model with noise: for tests of the diagnosis' parts."""
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
 """What the strokes that `opc4 diagnose --next` proposes are worth, against repeats and random strokes.
 
-Campaigns of four strokes of one kind at one supply, with one hidden cause, by the tests' own
-implementation.  Where the cause is not named alone, the proposed strokes are "measured" on the same unit, and both campaigns are
-diagnosed together; the same with as many of the strokes already measured, and with as many drawn
-from all that the rig can do.
-Checked by: tests/hidden_effects/test_next.py
+Four strokes of one kind with one hidden cause; where it is not named alone, as many are "measured" again.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Frames a second read and replayed, compared with python-can's reader and a pass-through like canplayer's.
+"""Frames a second read and replayed, beside python-can's reader and a pass-through over its virtual bus.
 
-The log is that of a made run, shifting twice a second.  Pass-through: python-can reads the log and
-sends each frame over its virtual bus to a receiver, as fast as it goes.  Memory is the peak of a
-process of its own (VmHWM), for a log and one four times as long.
+The log is that of a made run that shifts twice a second; memory is a process's peak (VmHWM), of two lengths.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Drawn cylinders by a simulator of their own: it shares no equation with the plant.
 
-The air takes the walls' temperature with a time constant (the plant: a heat transfer coefficient and the
-walls' area), its flow is the nozzle's of Saint-Venant and Wantzel between b and 1 (the plant: an ellipse),
-sliding is smoothed over a millimetre a second, and steps of 5 us are taken by Heun's rule.
+Its walls have a time constant, its flow is Saint-Venant's between b and 1, sliding is smoothed; Heun, 5 us.
 """
 
 from __future__ import annotations

@@ -19,10 +19,7 @@ MOST_COUNTED = 1_500_000
 
 
 def operations(call: Any, *arguments: Any) -> tuple[Any, int]:
-    """The answer of a call and the arithmetic operations and comparisons executed in controller/.
-
-    Counted as the interpreter executes them; a square root counts as none.
-    """
+    """The answer of a call, and operations and comparisons executed in controller/ (roots: none)."""
     counted = 0
     wanted: dict[CodeType, frozenset[int]] = {}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -21,6 +21,7 @@ from sil.simulation.in_memory import run_in_memory
 from tests.hidden_effects import effects
 from tests.reference.truck import StalledError, write_log
 from tests.reference.truck import drawn_truck as drawn_reference
+from tests.support.hidden_study import interval
 
 NEUTRAL_S = (0.55, 0.75)
 """Time between two requests."""
@@ -74,16 +75,9 @@ def drawn_truck(
 
 
 def truck_log(
-    path: Path,
-    seed: int,
-    shifts: int,
-    cause: dict[str, float] | None = None,
-    nominal: bool = False,
+    path: Path, seed: int, shifts: int, cause: dict[str, float] | None = None, nominal: bool = False
 ) -> dict[str, Any]:
-    """Write the log of a drawn truck with further settings (`cause`); return its scenario.
-
-    nominal: with the parameters of the model, whatever was drawn.
-    """
+    """Write the log of a drawn truck with further settings, or else nominal; return its scenario."""
     raw, settings = drawn_truck(np.random.default_rng(seed), shifts)
     if nominal:
         settings = {}
@@ -102,10 +96,7 @@ FIRST_DAY_S = 1_700_000_000
 def trips(
     folder: Path, seed: int, count: int, shifts: int, at: int, cause: dict[str, float]
 ) -> None:
-    """Write one log a day of the same truck, with further settings (`cause`) from log `at` on.
-
-    Sampling phase, speed difference and requests differ from day to day.
-    """
+    """Write one log a day of the same truck, with further settings (`cause`) from log `at` on."""
     folder.mkdir(parents=True, exist_ok=True)
     same, settings = drawn_truck(np.random.default_rng(seed), shifts)
     for trip in range(count):
@@ -185,10 +176,7 @@ def by_plant(
 def by_reference(
     path: Path, seed: int, shifts: int, severity: float | None, layout: str = "steady"
 ) -> tuple[str, dict[str, float], float | None]:
-    """Write a log by tests/reference; return the cause hidden in it, its changes and its severity.
-
-    A cause with which a shift does not arrive is drawn again, weaker; a healthy truck is not.
-    """
+    """Write a log by tests/reference, its cause weaker until it shifts; return cause, changes, severity."""
     rng = np.random.default_rng([seed, 8])
     name = "" if severity is None else str(rng.choice(FOREIGN_CAUSES))
     for weaker in (1.0, 0.6, 0.36, 0.2, 0.1, 0.0):
@@ -208,10 +196,7 @@ def by_reference(
 def one(
     seed: int, shifts: int, severity: float | None, folder: Path, layout: str = ""
 ) -> dict[str, Any]:
-    """Draw a log, diagnose it, and return what was hidden and what was found.
-
-    layout: of a log by tests/reference; none: by the project's own plant.
-    """
+    """Return what was hidden and found in a log by tests/reference, without a layout by the plant."""
     path = folder / f"{seed}.log"
     began = perf_counter()
     if layout:
@@ -251,10 +236,8 @@ def share(hits: int, count: int) -> str:
     """Return a share with its 95 % interval (Wilson)."""
     if count == 0:
         return "-"
-    z = 1.96
-    middle = (hits + z * z / 2.0) / (count + z * z)
-    half = z / (count + z * z) * np.sqrt(hits * (count - hits) / count + z * z / 4.0)
-    return f"{hits}/{count} ({100 * max(middle - half, 0.0):.0f}-{100 * (middle + half):.0f} %)"
+    low, high = interval(hits, count)
+    return f"{hits}/{count} ({100 * low:.0f}-{100 * high:.0f} %)"
 
 
 ALARMS = ("named", "ambiguous", "unnamed")
@@ -270,10 +253,7 @@ SIZES_BY_NOTICED = (
 
 
 def by_noticed(row: dict[str, Any]) -> float | None:
-    """Return a hidden cause's size by the least that is noticed in nine of ten such trucks.
-
-    As the diagnosis states it, from Fisher information; 0 if at no size, None if units differ.
-    """
+    """Return a cause's size by the least one stated as noticed; 0 if none is, None if units differ."""
     if not row["hidden"] or row["hidden"] in OTHER_UNITS:
         return None
     parameter = CATALOGUE[row["hidden"]].parameters[0]
@@ -320,11 +300,8 @@ def _found(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield "|---|---|---|---|---|---|"
     for low in (0.0, 1 / 3, 2 / 3):
         for least, most in ((0, 20), (20, 80), (80, 600)):
-            own = [
-                row
-                for row in faulty
-                if low <= row["severity"] < low + 1 / 3 and least <= row["shifts"] < most
-            ]
+            alike = [row for row in faulty if low <= row["severity"] < low + 1 / 3]
+            own = [row for row in alike if least <= row["shifts"] < most]
             alarm = sum(row["verdict"] in ALARMS for row in own)
             held = sum(row["hidden"] in row["reported"] for row in own)
             first = sum(row["best"] == row["hidden"] for row in own)
@@ -342,10 +319,7 @@ def measure(
     most: int = 500,
     layouts: tuple[str, ...] = ("steady", "varying", "silent", "both", "air"),
 ) -> Iterator[str]:
-    """Judge drawn logs, a quarter of them healthy; results are added to `store` as they come.
-
-    most: shifts; at least 10. layouts: in turn, as in `one`.
-    """
+    """Judge drawn logs of 10 to `most` shifts, a quarter of them healthy; add results to `store`."""
     for seed in range(first, first + logs):
         generator = np.random.default_rng([seed, 3])
         severity = None if seed % 4 == 0 else float(generator.uniform())
@@ -356,3 +330,97 @@ def measure(
         with store.open("a") as file:
             file.write(json.dumps(found) + "\n")
     yield from table([json.loads(line) for line in store.read_text().splitlines()])
+
+
+TRIP_S = 3600
+
+
+def drawn_trips(rng: np.random.Generator, shifts: int) -> tuple[list[dict[str, Any]], dict]:
+    """Return the scenarios of a healthy truck's trips, together of so many shifts, and its settings."""
+    _table, settings = drawn_truck(rng, 1)
+    waits = bool(rng.random() < 0.4)
+    settings["controller.filter"] = bool(rng.random() < 0.7)
+    cuts = sorted(rng.choice(np.arange(1, shifts), min(int(rng.integers(0, 3)), shifts - 1), False))
+    trips = []
+    for count in np.diff([0, *cuts, shifts]).tolist():
+        kelvin = float(rng.uniform(263.0, 363.0))
+        trips.append(
+            {
+                **_requests(rng, count, waits),
+                "name": "drawn trip",
+                "plant": {
+                    "mounted": True,
+                    "mesh_force_n": float(rng.uniform(0.0, 1200.0)),
+                    "pull_force_n": float(rng.uniform(0.0, 700.0)),
+                    "supply_pressure_pa": float(rng.uniform(7e5, 9.5e5)),
+                    "truth_period_s": 1.0,
+                },
+                "driveline": {"noise_rad_s": 0.1}
+                | ({} if waits else {
+                    f"impulse_{gear}_n_s": float(np.exp(rng.uniform(np.log(5.0), np.log(400.0))))
+                    for gear in ("backward", "forward")
+                }),
+                "sensor": {
+                    "phase_s": float(rng.uniform(0.0, 0.0099)),
+                    "noise_sd_s": 2e-7,
+                    "coil_temperature_k": kelvin,
+                },
+                "clock": {"controller_ppm": float(rng.uniform(-60.0, 60.0))},
+            }
+        )  # fmt: skip
+        if waits:
+            trips[-1]["controller"] = {"shift": {"wait_for_sync": True}}
+    return trips, settings
+
+
+def _requests(rng: np.random.Generator, count: int, waits: bool) -> dict[str, Any]:
+    """Return the requests of so many shifts, with long enough for each."""
+    at_s, gear, requests = 0.3, "neutral", []
+    for _ in range(count):
+        gear = str(rng.choice(["backward", "forward"])) if gear == "neutral" else "neutral"
+        requests.append({"at_s": round(at_s, 4), "gear": gear})
+        at_s += float(rng.uniform(0.8, 1.0)) + (1.0 if waits else 0.25) * (gear != "neutral")
+    return {"duration_s": round(at_s + 0.6, 3), "request": requests}
+
+
+def write_trips(
+    folder: Path, trips: Sequence[dict[str, Any]], settings: dict[str, Any], seed: int
+) -> list[str]:
+    """Run the trips of a truck; return the logs written, one each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for number, raw in enumerate(trips):
+        loaded = load_scenario.from_table(raw, "drawn", settings=settings, seed=100 * seed + number)
+        paths.append(str(folder / f"{number}.log"))
+        _write(Path(paths[-1]), loaded, number * TRIP_S * 1_000_000_000)
+    return paths
+
+
+def drawn_set(
+    folder: Path, seed: int, cause: dict[str, float] | None = None, shifts: int | None = None
+) -> list[str]:
+    """Write the logs of a drawn truck of 3 to 12 shifts, with further settings (`cause`)."""
+    rng = np.random.default_rng([seed, 11])
+    trips, settings = drawn_trips(rng, shifts or int(rng.integers(3, 13)))
+    return write_trips(folder, trips, settings | (cause or {}), seed)
+
+
+def same_but(
+    folder: Path, seed: int, own: Sequence[dict[str, Any]], cause: dict[str, float] | None = None
+) -> list[str]:
+    """Write one log of torque to torque for each row of `own`, which replaces tables of the scenario."""
+    trips = []
+    for tables in own:
+        raw: dict[str, Any] = {
+            "name": "torque to torque",
+            "duration_s": 4.2,
+            "initial_gear": "backward",
+            "request": [{"at_s": 0.5, "gear": "forward"}],
+            "plant": {"mounted": True, "pull_force_n": 300.0, "mesh_force_n": 800.0},
+            "driveline": {"noise_rad_s": 0.05},
+            "sensor": {"phase_s": 0.002},
+        }
+        for key, table in tables.items():
+            raw[key] = raw.get(key, {}) | table
+        trips.append(raw)
+    return write_trips(folder, trips, cause or {}, seed)

@@ -1,7 +1,4 @@
-"""A truck's log made from known instants: what the analysis has to find again.
-
-The frames are packed here bit by bit as SAE J1939-71 states, without the product's mapping or DBC.
-"""
+"""A truck's log from known instants, packed bit by bit as SAE J1939-71 states, without mapping or DBC."""
 
 from __future__ import annotations
 

@@ -18,7 +18,6 @@ from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
 from controller.settings import BlowConfig, FilterConfig, SensorConfig, ShiftConfig
 from controller.strategies import one_chamber
-from tests.support.firmware_invariants import check_invariants, duties
 from tests.support.toy_actuator import (
     AT,
     MS,
@@ -29,6 +28,8 @@ from tests.support.toy_actuator import (
     S,
     Stay,
     U,
+    check_invariants,
+    duties,
     shift,
 )
 

@@ -16,7 +16,6 @@ from can_dbc.messages import (
 )
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
-from tests.support.firmware_invariants import check_invariants
 from tests.support.toy_actuator import (
     MS,
     STROKE_M,
@@ -26,6 +25,7 @@ from tests.support.toy_actuator import (
     S,
     Stay,
     U,
+    check_invariants,
     pulse_s,
     shift,
 )

@@ -17,7 +17,6 @@ from controller.config import FirmwareConfig
 from controller.position import Estimate
 from controller.strategies import Duties, ShiftContext
 from controller.strategies.open_loop import OpenLoop
-from tests.support.firmware_invariants import check_invariants, duties
 from tests.support.toy_actuator import (
     MS,
     B,
@@ -26,6 +25,8 @@ from tests.support.toy_actuator import (
     Rig,
     S,
     Stay,
+    check_invariants,
+    duties,
     shift,
 )
 

@@ -20,8 +20,7 @@ from can_dbc.messages import (
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
 from controller.settings import BlowConfig, FilterConfig, SensorConfig, ShiftConfig
-from tests.support.firmware_invariants import check_invariants
-from tests.support.toy_actuator import MS, Rig, Row, Stay, asks, pulse_s
+from tests.support.toy_actuator import MS, Rig, Row, Stay, asks, check_invariants, pulse_s
 
 GEARS = list(Gear)
 WANTED_M = {Gear.NEUTRAL: 0.0, Gear.BACKWARD: 0.01285, Gear.FORWARD: -0.01285, Gear.UNKNOWN: 0.0}

@@ -38,12 +38,8 @@ commands = [[0.02, "B", 0.98], [0.2, "B", 0.0]]
 
 def test_run_is_the_command(tmp_path: Path) -> None:
     found = api.run("lab_n_b", {"controller.filter": False})
-    main(
-        [
-            *["run", "lab_n_b", "--set", "controller.filter=false", "--no-report"],
-            *["--strict", "--out", f"{tmp_path}/r"],
-        ]
-    )
+    words = ["run", "lab_n_b", "--set", "controller.filter=false", "--no-report", "--strict"]
+    main([*words, "--out", f"{tmp_path}/r"])
     output = json.loads((tmp_path / "r" / "result.json").read_text())
     assert found.trace_sha256 == output["trace_sha256"]
     assert found.passed is output["passed"] is False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import json
 import os
@@ -13,18 +14,25 @@ from pathlib import Path
 import pytest
 
 from sil import cli
+from sil.cli import main
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 HEAVY = (
-    *("numpy", "numba", "scipy", "can", "cantools", "matplotlib", "jinja2", "msgspec", "e2e"),
-    *(
+    *[
+        "numpy",
+        "numba",
+        "scipy",
+        "can",
+        "cantools",
+        "matplotlib",
+        "jinja2",
+        "msgspec",
+        "e2e",
         "plant",
         "controller",
-        "can_dbc.codec",
-        "sil.simulation.load_scenario",
-        "sil.simulation.runner",
-    ),
+    ],
+    *("can_dbc.codec", "sil.simulation.load_scenario", "sil.simulation.runner"),
 )
 
 
@@ -160,3 +168,211 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
             timeout=120,
         )
         assert done.stdout.splitlines()[-1] == used
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "then"),
+    [
+        ("run", "my shift.toml", ["run", "my shift.toml", "--no-report"]),
+        ("whatif", "study.toml", ["whatif", "study.toml"]),
+        ("firmware", "own.py", ["run", "lab_n_b", "--firmware", "own.py", "--no-report"]),
+    ],
+)
+def test_a_draft_runs_as_it_is(
+    command: str,
+    name: str,
+    then: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([command, "--new", name]) == 0
+    assert f"{name}: a draft that runs as it is: opc4 " in capsys.readouterr().out
+    assert main([*then, "--out", "out"]) == 0
+    text = Path(name).read_text(encoding="utf-8")
+    assert text.count("#") > 5 or '"""' in text
+    Path(name).write_text("mine")
+    assert main([command, "--new", name]) == 2
+    assert Path(name).read_text() == "mine"
+    assert main([command, "--new", name, "--force"]) == 0
+    assert Path(name).read_text(encoding="utf-8") == text
+
+
+def test_the_draft_of_a_firmware_changes_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["firmware", "--new", "own.py"]) == 0
+    own = Path("own.py")
+    own.write_text(own.read_text().replace("MAX_DUTY = 1.0", "MAX_DUTY = 0.3"))
+    assert main(["run", "lab_n_b", "--firmware", "own.py", "--no-report", "--out", "out"]) == 1
+    assert "lab_n_b with firmware=own.py: neutral to backward: never" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["run", "--new", "my.json"], "no draft of such a file; expected FILE.toml"),
+        (["firmware", "--new", "own.cpp"], "expected FILE.c or FILE.py"),
+        (["run", "--new", "nowhere/my.toml"], "no such folder; expected a file in one that exists"),
+    ],
+)
+def test_what_is_no_draft_is_one_line(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+LOG = "(0000000000.001000) opc4 0CFF2091#0011223344556677\n"
+
+
+def test_convert_writes_once_and_refuses_the_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, target = tmp_path / "bus.log", tmp_path / "bus.asc"
+    source.write_text(LOG)
+    assert cli.main(["convert", str(source), str(target), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["written"] == 1
+    assert cli.main(["convert", str(source), str(target)]) == 2
+    assert "exists; expected a new name" in capsys.readouterr().err
+    assert cli.main(["convert", str(source), str(target), "--force"]) == 0
+    assert cli.main(["convert", str(tmp_path / "no.log"), str(tmp_path / "x.asc")]) == 2
+    assert cli.main(["convert", str(source), str(tmp_path / "x.wav")]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "simulate", "diagnose", "whatif", "replay", "convert"])
+@pytest.mark.parametrize("name", ["x" * 5000, "loop/campaign"])
+def test_a_path_that_cannot_exist_is_bad_input(
+    command: str,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    words = [command, name, "out.log"] if command == "convert" else [command, name]
+    assert cli.main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"opc4 {command}: ") and "expected" in line
+    assert {path.name for path in tmp_path.iterdir()} == {"loop"}
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["run", "x", "--seed", "1.5"], "--seed: '1.5'; expected a whole number"),
+        (["run", "x", "--speed", "fast"], "--speed: 'fast'; expected a number"),
+        (["diagnose", "x", "--workers", "0"], "--workers 0: expected 1 or more"),
+        (["whatif"], "no STUDY; expected a file or a shipped name"),
+    ],
+)
+def test_a_wrong_option_is_one_line(
+    words: list[str], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert line in said
+
+
+def test_a_path_without_permission_is_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, report = tmp_path / "out", tmp_path / "a.xml"
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert cli.main(["run", "lab_n_b", "--junit", str(report), "--out", str(out)]) == 2
+    line = f"opc4 run: {report}: --junit: no permission; expected a folder to write in\n"
+    assert capsys.readouterr().err == line and not out.exists()
+
+
+def test_a_folder_that_holds_a_run_is_refused_before_logs_are_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = tmp_path / "bus.log", tmp_path / "out"
+    source.write_text(LOG)
+    assert cli.main(["diagnose", str(source), "--out", str(out)]) == 2
+    assert "--out" not in capsys.readouterr().err  # the log is what is wrong
+    assert not out.exists()
+    out.mkdir()
+    (out / "diagnosis.json").write_text("{}")
+    assert cli.main(["diagnose", str(source), "--out", str(out)]) == 2
+    assert "holds another run (diagnosis.json)" in capsys.readouterr().err
+    assert (out / "diagnosis.json").read_text() == "{}"
+
+
+READERS = {
+    ".toml": ["run", "{}"],
+    ".json": ["compare", "{}", "{}"],
+    ".dbc": ["bus", "--dbc", "{}"],
+    ".py": ["run", "lab_n_b", "--rules", "{}"],
+    ".mat": ["diagnose", "--new", "out", "--rig", "actuator", "{}"],
+    ".parquet": ["diagnose", "--new", "out", "--rig", "force", "{}"],
+    ".h5": ["diagnose", "--new", "out", "--rig", "force", "{}"],
+    ".tdms": ["diagnose", "--new", "out", "--rig", "force", "{}"],
+    ".csv": ["diagnose", "--new", "out", "--rig", "fixed", "{}"],
+    ".asc": ["convert", "{}", "out.log"],
+    ".blf": ["convert", "{}", "out.log"],
+    ".mf4": ["replay", "{}"],
+    ".opc4": ["run", "--from", "{}"],
+}
+SPOILS: dict[str, Callable[[Path], object]] = {
+    "empty": lambda path: path.write_bytes(b""),
+    "null bytes": lambda path: path.write_bytes(b"\0" * 4096),
+    "Latin-1": lambda path: path.write_bytes('name = "Gr\xf6\xdfe"\n'.encode("latin-1")),
+    "nested": lambda path: path.write_bytes(b"[" * 100_000 + b"]" * 100_000),
+    "folder": Path.mkdir,
+    "circle": lambda path: path.symlink_to(path.name),
+    "nowhere": lambda path: path.symlink_to("nowhere"),
+    "/dev/zero": lambda path: path.symlink_to("/dev/zero"),
+    "/proc/self/mem": lambda path: path.symlink_to("/proc/self/mem"),
+    "pipe": os.mkfifo,
+}
+MAY_WAIT = (".asc", ".blf", ".mf4")
+"""Logs may come from a pipe, whose writer is waited for."""
+
+
+@pytest.mark.parametrize("spoil", SPOILS)
+@pytest.mark.parametrize("suffix", READERS)
+def test_a_bad_file_is_refused_in_one_line(
+    suffix: str,
+    spoil: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    if suffix in MAY_WAIT and spoil == "pipe":
+        return
+    if suffix == ".py" and spoil == "empty":
+        return  # is Python, without rules: test_user_file
+    monkeypatch.chdir(tmp_path)
+    path = Path(f"x{suffix}")
+    SPOILS[spoil](path)
+    assert cli.main([word.format(path) for word in READERS[suffix]]) == 2
+    captured = capfd.readouterr()
+    (line,) = captured.err.splitlines()
+    assert captured.out == "" and str(path) in line
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_full_disk_is_told_with_the_file_that_it_has_no_room_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{k / 1000},{k * 1e-4},{k}\n" for k in range(100))
+    Path("x.csv").write_text(f"time_s,position_m,force_n\n{rows}")
+    replace, reason = os.replace, (errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def full(source: str, target: Path) -> None:
+        if target.name == "x.csv":
+            raise OSError(*reason, str(source))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", full)
+    assert cli.main(["diagnose", "--new", "out", "--rig", "force", "x.csv"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"opc4 diagnose: out/x.csv: {reason[1]}"
+    assert not list(Path("out").glob("*x.csv*"))

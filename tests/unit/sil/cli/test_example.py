@@ -50,16 +50,8 @@ def test_the_scenario_passes(copied: Path) -> None:
 
 @pytest.mark.parametrize("copied", ["firmware"], indirect=True)
 def test_the_firmware_closes_the_valve_early(copied: Path) -> None:
-    words = [
-        "run",
-        "lab_n_b",
-        "--firmware",
-        "short_push.py:ShortPush",
-        "--out",
-        "short",
-        "--no-report",
-    ]
-    assert main(words) in (0, 1)
+    words = ["run", "lab_n_b", "--firmware", "short_push.py:ShortPush", "--out", "short"]
+    assert main([*words, "--no-report"]) in (0, 1)
     result = json.loads((copied / "short" / "result.json").read_text(encoding="utf-8"))
     assert result["metrics"]["valve_switchings"] == 4
 

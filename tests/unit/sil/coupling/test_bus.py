@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import pytest
@@ -226,11 +227,7 @@ def test_lost_delayed_corrupted_and_inserted_frames() -> None:
     frames = [Frame(0x100 + number, bytes([number])) for number in range(4)]
     for frame in frames:
         bus.queue(0, frame, "a")
-    ends = []
-    free_ns = 0
-    for frame in frames:
-        ends.append(free_ns + duration_ns(frame))
-        free_ns = ends[-1] + GAP
+    ends = [end - GAP for end in accumulate(duration_ns(frame) + GAP for frame in frames)]
     assert bus.advance(4_000_000) == [
         BusFrame(0, ends[2], "a", Frame(0x102, b"wrong")),
         BusFrame(0, ends[3], "a", frames[3]),
@@ -260,11 +257,8 @@ def test_what_the_filter_sees() -> None:
     ]
     assert delivery == BusFrame(100, starts[2] + duration_ns(USUAL), "a", USUAL)
     statistics = bus.statistics
-    assert (statistics.frames, statistics.error_frames, statistics.sent) == (
-        3,
-        2,
-        {USUAL.can_id: 1},
-    )
+    assert (statistics.frames, statistics.error_frames) == (3, 2)
+    assert statistics.sent == {USUAL.can_id: 1}
     assert statistics.busy_ns == 2 * until_next + duration_ns(USUAL) + GAP
     assert statistics.longest_wait_ns[USUAL.can_id] == delivery.arrival_ns - 100
 
@@ -324,11 +318,8 @@ def test_capacity_counts_frames_that_were_dropped_or_given_up_as_gone() -> None:
     assert bus.advance(10**7) == []
     bus.queue(10**7, USUAL, "a")
     statistics = bus.statistics
-    assert (statistics.dropped_full, statistics.dropped_bus_off, statistics.error_frames) == (
-        0,
-        1,
-        1,
-    )
+    assert statistics.dropped_full == 0
+    assert statistics.dropped_bus_off == statistics.error_frames == 1
 
 
 def test_overload_starves_the_less_urgent_only() -> None:

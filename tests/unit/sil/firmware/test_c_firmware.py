@@ -29,8 +29,7 @@ from sil.studies.load_study import load_study
 from tests.conftest import ROOT
 from tests.faults.drawn import draw
 from tests.golden_replays import golden_path
-from tests.support.drawn_inputs import drawn_config, feed
-from tests.support.twins import run_with_twins
+from tests.support.twins import drawn_config, feed, run_with_twins
 
 wasmtime = pytest.importorskip("wasmtime", reason="extra c")
 pytest.importorskip("ziglang", reason="extra c")
@@ -318,13 +317,8 @@ def test_what_a_step_costs_is_in_the_report_and_in_a_study(tmp_path: Path) -> No
     assert main(["run", str(path), "--quiet", "--out", str(tmp_path / "run")]) == 0
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     page, cost = (tmp_path / "run" / "report.html").read_text(), result["firmware"]
-    for shown in (
-        cost["max_instructions"],
-        7001,
-        cost["stack_bytes"],
-        cost["memory_bytes"],
-        "none",
-    ):
+    figures = [cost[name] for name in ("max_instructions", "stack_bytes", "memory_bytes")]
+    for shown in (*figures, 7001, "none"):
         assert f'<td class="n">{shown}</td>' in page
     assert all(f"<code>{frame}</code>" in page for frame in cost["max_inputs"])
     study = tmp_path / "study.toml"

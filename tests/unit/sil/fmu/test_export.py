@@ -120,10 +120,7 @@ OUTPUTS = ["duty_b", "duty_n", "duty_f", "estimate_m", "state", "confirmed", "fa
 
 
 def simulated(unit: Path) -> tuple[np.ndarray, Any]:
-    """What a firmware's unit is given, every 10 ms, and what it answers.
-
-    The driver asks for backward at 0.3 s, and from 0.35 s the stay moves.
-    """
+    """What a unit is given, and answers: asked for backward at 0.3 s, the stay moves from 0.35 s."""
     times = np.arange(0.0, 0.6, 0.01)
     inputs = np.zeros(
         len(times),

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,9 @@ from can_dbc.errors import InputError
 from sil.files import overrides
 from sil.files.overrides import parse_setting
 from sil.simulation import load_scenario, scenario
-from sil.simulation.scenario import Scenario
+from sil.simulation.expectations import Expectations
+from sil.simulation.load_scenario import from_table, shipped
+from sil.simulation.scenario import Scenario, scenario_toml
 
 GOOD = """\
 name = "example"
@@ -76,7 +79,6 @@ def test_a_list_of_an_expanded_scenario_is_changed_by_index(tmp_path: Path) -> N
         (GOOD + GOOD[GOOD.index("[[") :], "request[1].at_s: 0.1; expected later than"),
         ("a = [", "expected TOML"),
         ("[[[", "expected TOML"),
-        ("", "name: missing"),
     ],
 )
 def test_complaint(tmp_path: Path, text: str, complaint: str) -> None:
@@ -369,3 +371,34 @@ def test_a_strategy_s_own_settings_are_set_by_path() -> None:
             load_scenario.load(
                 "strategy_bang_bang", settings={f"controller.strategy_parameters.{bad}": -1}
             )
+
+
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_every_shipped_scenario_survives(name: str) -> None:
+    before = load_scenario.load(name)
+    again = from_table(tomllib.loads(scenario_toml(before.scenario)), "text")
+    without = msgspec.structs.replace(before.scenario, expect=Expectations())
+    assert again.scenario == without
+    values = [{path: p[path].value for path in p} for p in (again.parameters, before.parameters)]
+    assert values[0] == values[1]
+
+
+def test_settings_faults_and_strategy_parameters_survive() -> None:
+    settings = {
+        "valve.D_fall": 0.0123,
+        "controller.strategy": "air_cushion",
+        "controller.strategy_parameters.patience_s": 0.05,
+        "controller.filter": False,
+        "effect.added_mass.mass_kg": 0.25,
+    }
+    before = load_scenario.load("bus_off", settings=settings)
+    text = scenario_toml(before.scenario)
+    again = from_table(tomllib.loads(text), "text")
+    assert again.scenario.model == {"valve.D_fall": 0.0123, "effect.added_mass.mass_kg": 0.25}
+    assert again.scenario == msgspec.structs.replace(before.scenario, expect=Expectations())
+    assert again.scenario.fault and "[[fault]]" in text
+
+
+def test_only_what_differs_is_written() -> None:
+    text = scenario_toml(load_scenario.load("lab_n_b").scenario)
+    assert "bitrate" not in text and "expect" not in text and len(text.splitlines()) < 25

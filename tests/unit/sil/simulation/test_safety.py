@@ -11,6 +11,7 @@ import pytest
 
 from can_dbc.codec import can_id_of
 from can_dbc.messages import ControllerStatus, Fault, Gear, ShiftState, ValveCommand
+from sil.recording.run_record import RunRecord
 from sil.rules import Circumstances, violations
 from sil.rules.reports import sent
 from sil.rules.shipped import RULES
@@ -18,12 +19,17 @@ from sil.simulation import safety
 from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import from_table
+from sil.simulation.scenario import Scenario
 from tests.faults.drawn import base
 
 
-def figures(shift: str = "N-B", **faults: Any) -> dict[str, float]:
-    loaded = from_table(base(shift) | faults, "test")
-    return safety.figures(run_in_memory(loaded).record, loaded.scenario)
+def ran(table: dict[str, Any]) -> tuple[RunRecord, Scenario]:
+    loaded = from_table(table, "test")
+    return run_in_memory(loaded).record, loaded.scenario
+
+
+def figures(**faults: Any) -> dict[str, float]:
+    return safety.figures(*ran(base("N-B") | faults))
 
 
 def test_a_healthy_run_has_nothing_to_tell() -> None:
@@ -54,33 +60,30 @@ def test_an_orphan_is_found_where_the_driver_never_gives_up() -> None:
     dead = {"kind": "dead", "node": "controller", "start_s": 0.13}
     assert figures(fault=[dead])["orphan_energised_s"] == 0.0
     # the figure itself is not blind: count from an earlier end of patience than the driver's own
-    loaded = from_table(base("N-B") | {"fault": [dead]}, "test")
-    record = run_in_memory(loaded).record
+    record, _ = ran(base("N-B") | {"fault": [dead]})
     strict = from_table(base("N-B") | {"fault": [dead], "valve_driver": {"timeout_s": 0.02}}, "t")
     assert safety.orphan_energised_s(record, strict.scenario) == pytest.approx(0.029, abs=0.002)
 
 
 def test_a_report_of_a_gear_the_stay_is_not_in_is_found() -> None:
-    loaded = from_table(base("N-B"), "test")
-    record = run_in_memory(loaded).record
+    record, scenario = ran(base("N-B"))
     moved = dict(record.truth) | {"position_m": np.zeros_like(record.truth["position_m"])}
     fooled = dataclasses.replace(record, truth=moved)
-    assert safety.false_gear_s(record, loaded.scenario) == 0.0
-    assert safety.false_gear_s(fooled, loaded.scenario) > 0.3
+    assert safety.false_gear_s(record, scenario) == 0.0
+    assert safety.false_gear_s(fooled, scenario) > 0.3
 
 
 def test_a_coil_on_while_no_command_arrives_is_an_orphan() -> None:
-    loaded = from_table(base("N-B"), "test")
-    record = run_in_memory(loaded).record
-    assert safety.orphan_energised_s(record, loaded.scenario) == 0.0
+    record, scenario = ran(base("N-B"))
+    assert safety.orphan_energised_s(record, scenario) == 0.0
     commands = can_id_of(ValveCommand)
     unheard = [f for f in record.frames if f.frame.can_id != commands or f.arrival_ns < 130_000_000]
     silent = dataclasses.replace(record, frames=unheard)
     on = (np.stack([record.truth[f"cmd_{c}"] for c in "BNF"]) > 0.5).any(axis=0)
-    late = record.truth["time_s"] > 0.1307 + loaded.scenario.valve_driver.timeout_s + 0.001
+    late = record.truth["time_s"] > 0.1307 + scenario.valve_driver.timeout_s + 0.001
     expected_s = 0.001 * np.count_nonzero(on & late)
     assert expected_s > 0.1
-    assert safety.orphan_energised_s(silent, loaded.scenario) == pytest.approx(expected_s, abs=0.02)
+    assert safety.orphan_energised_s(silent, scenario) == pytest.approx(expected_s, abs=0.02)
 
 
 def test_what_a_receiver_may_not_believe_is_no_report() -> None:
@@ -121,11 +124,10 @@ def test_what_a_controller_on_another_bit_rate_missed_is_not_counted() -> None:
         {"kind": "bus_off", "start_s": 0.03, "end_s": 0.3, "node": "driver"},
     ]
     table = {"name": "late", "duration_s": 0.4, "initial_gear": "neutral", "fault": faults}
-    loaded = from_table(table | {"request": [{"at_s": 0.0, "gear": "forward"}]}, "test")
-    record = run_in_memory(loaded).record
+    record, scenario = ran(table | {"request": [{"at_s": 0.0, "gear": "forward"}]})
     pushes = [m.state for _, m in record.of(ControllerStatus) if m.state is ShiftState.PUSH]
     assert pushes  # it was heard after both faults
-    given = circumstances(loaded.scenario)
+    given = circumstances(scenario)
     assert violations(record, given, RULES) == []
     as_if_heard = violations(record, dataclasses.replace(given, deaf_s=()), RULES)
     assert [broken.rule for broken in as_if_heard] == ["unrequested_push", "missed_loss"]
@@ -148,11 +150,10 @@ def test_an_estimate_whose_past_a_forger_hides_is_judged_by_all_its_past() -> No
             }
         ],
     }
-    loaded = from_table(table, "test")
-    record = run_in_memory(loaded).record
+    record, scenario = ran(table)
     overshoots_m = [status.estimate_m for _, status in sent(record, ControllerStatus)]
     assert max(overshoots_m) > 0.0016  # of its low-pass filter, after the step from the gear
-    assert violations(record, circumstances(loaded.scenario), RULES) == []
+    assert violations(record, circumstances(scenario), RULES) == []
 
 
 def test_a_jump_within_a_window_may_overshoot_its_edge() -> None:
@@ -168,10 +169,9 @@ def test_a_jump_within_a_window_may_overshoot_its_edge() -> None:
         ],
         "sensor_fault": [{"kind": "wrong", "start_s": 0.8}],
     }
-    loaded = from_table(table, "test")
-    record = run_in_memory(loaded).record
+    record, scenario = ran(table)
     assert Gear.UNKNOWN in [m.confirmed for t, m in sent(record, ControllerStatus) if t > 0.8]
-    assert violations(record, circumstances(loaded.scenario), RULES) == []
+    assert violations(record, circumstances(scenario), RULES) == []
 
 
 def test_a_controller_that_is_cut_off_does_not_answer_for_its_last_report() -> None:
@@ -184,8 +184,7 @@ def test_a_controller_that_is_cut_off_does_not_answer_for_its_last_report() -> N
         "fault": [{"kind": "bus_off", "start_s": 0.65, "node": "controller"}],
         "valve_fault": [{"kind": "wrong", "start_s": 0.59, "valve": "F"}],
     }
-    loaded = from_table(table, "test")
-    record = run_in_memory(loaded).record
-    given = circumstances(loaded.scenario)
-    assert safety.false_gear_s(record, loaded.scenario) > given.sight_s
+    record, scenario = ran(table)
+    given = circumstances(scenario)
+    assert safety.false_gear_s(record, scenario) > given.sight_s
     assert violations(record, given, RULES) == []

@@ -16,6 +16,7 @@ from sil.studies import executor
 from sil.studies.executor import run_study
 from sil.studies.figures import choices_figure
 from sil.studies.load_study import load_study, shipped
+from sil.studies.study import Study
 from sil.studies.table import RESULTS, read_table
 
 GRID = """
@@ -68,12 +69,16 @@ def table(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_grid_runs_every_combination_in_order(tmp_path: Path) -> None:
-    study = load_study(str(study_file(tmp_path)))
-    out = tmp_path / "out"
+def ran(folder: Path, text: str = GRID) -> tuple[Study, Path]:
+    """A study that has been run, and the folder of its results."""
+    study, out = load_study(str(study_file(folder, text))), folder / "out"
     out.mkdir()
-    assert run_study(study, out) == 80
-    rows = table(out)
+    assert run_study(study, out) == study.size
+    return study, out
+
+
+def test_grid_runs_every_combination_in_order(tmp_path: Path) -> None:
+    rows = table(ran(tmp_path)[1])
     assert [int(r["row"]) for r in rows] == list(range(80))
     assert len({(r["variant"], r["fixed.m_p"], r["fixed.V10"]) for r in rows}) == 80
     heavy = [float(r["impact_speed_m_s"]) for r in rows if r["variant"] == "heavy, very"]
@@ -98,20 +103,14 @@ def test_workers_and_resuming_give_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_resuming_another_study_is_refused(tmp_path: Path) -> None:
-    study = load_study(str(study_file(tmp_path)))
-    out = tmp_path / "out"
-    out.mkdir()
-    run_study(study, out)
+    _, out = ran(tmp_path)
     other = load_study(str(study_file(tmp_path, GRID.replace("steps = 20", "steps = 21"))))
     with pytest.raises(InputError, match="another study"):
         run_study(other, out, resume=True)
 
 
 def test_a_row_is_what_the_run_gives(tmp_path: Path) -> None:
-    study = load_study(str(study_file(tmp_path, LOOP)))
-    out = tmp_path / "out"
-    out.mkdir()
-    run_study(study, out)
+    study, out = ran(tmp_path, LOOP)
     rows = table(out)
     assert len(rows) == 4
     last = list(study.rows())[-1]

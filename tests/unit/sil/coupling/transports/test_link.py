@@ -60,18 +60,23 @@ def grant(frames: int, now_ns: int, number: int = CONTROLLER) -> bytes:
     return wire.control(Kind.GRANT, number, frames, now_ns)
 
 
-def test_hello_is_repeated_until_welcomed_and_names_version_and_scenario() -> None:
-    joining, link = session()
-    answers = iter([b"", b"", wire.control(Kind.WELCOME, PLANT, wire.VERSION, 1)])
+def answer_hello(link: ScriptedLink, kind: Kind, extra: int, *before: bytes) -> None:
+    """Answer to a hello with its own nonce, after other records."""
+    answers = iter(before)
 
     def read(timeout_s: float | None) -> list[tuple[int, bytes]]:
         hello = link.said()[-1]
         assert hello is not None
-        nonce = hello.value & 0xFFFF
-        record = next(answers, wire.control(Kind.WELCOME, CONTROLLER, wire.VERSION, nonce))
-        return list(wire.split(record))
+        record = wire.control(kind, CONTROLLER, extra, hello.value & 0xFFFF)
+        return list(wire.split(next(answers, record)))
 
     link.read = read  # type: ignore[method-assign]
+
+
+def test_hello_is_repeated_until_welcomed_and_names_version_and_scenario() -> None:
+    joining, link = session()
+    others = wire.control(Kind.WELCOME, PLANT, wire.VERSION, 1)
+    answer_hello(link, Kind.WELCOME, wire.VERSION, b"", b"", others)
     joining.join(0, 5.0)
     hellos = link.said()
     assert len(hellos) >= 1 and link.welcomes == 1
@@ -85,14 +90,7 @@ def test_hello_is_repeated_until_welcomed_and_names_version_and_scenario() -> No
 @pytest.mark.parametrize("refusal", list(Refusal))
 def test_a_refusal_is_reported(refusal: Refusal) -> None:
     joining, link = session()
-
-    def read(timeout_s: float | None) -> list[tuple[int, bytes]]:
-        hello = link.said()[-1]
-        assert hello is not None
-        record = wire.control(Kind.REFUSED, CONTROLLER, refusal, hello.value & 0xFFFF)
-        return list(wire.split(record))
-
-    link.read = read  # type: ignore[method-assign]
+    answer_hello(link, Kind.REFUSED, refusal)
     with pytest.raises(InputError, match=wire.reason(refusal)):
         joining.join(0, 5.0)
 

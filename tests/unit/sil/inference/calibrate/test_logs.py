@@ -18,7 +18,7 @@ from sil.inference.truck.diagnosis import shifts_of_truck
 from sil.inference.truck.quantities import quantities
 from sil.log_replay.recorded_shifts import RecordedShift
 from tests.conftest import run_opc4
-from tests.support.truck_sets import drawn_trips, write_trips
+from tests.support.truck_logs import drawn_trips, write_trips
 
 SEED = 1
 

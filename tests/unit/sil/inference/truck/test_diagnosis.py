@@ -13,7 +13,7 @@ from plant.parameters import load
 from sil.inference.truck import diagnosis
 from sil.inference.truck.diagnosis import TruckDiagnosis, judge, shifts_of_truck
 from sil.log_replay.recorded_shifts import RecordedShift
-from tests.support.truck_sets import drawn_set, same_but
+from tests.support.truck_logs import drawn_set, same_but
 
 
 def of(paths: list[str]) -> TruckDiagnosis:
