@@ -16,7 +16,7 @@ import pytest
 from sil import cli
 from sil.cli import main
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
+Capture = pytest.CaptureFixture[str]
 
 HEAVY = (
     *[
@@ -36,44 +36,44 @@ HEAVY = (
 )
 
 
+def printed(program: str) -> str:
+    """What a Python program of its own process prints."""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    return done.stdout
+
+
 def test_help_lists_every_command_and_imports_nothing_heavy() -> None:
     program = (
         "import sys; from sil.cli import main; code = main(['--help']);"
         f"print([m for m in {HEAVY!r} if m in sys.modules], code)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
-    )
-    assert done.stdout.endswith("[] 0\n")
+    shown = printed(program)
+    assert shown.endswith("[] 0\n")
     for name, summary in cli.COMMANDS.items():
-        assert f"  {name:<10} {summary}\n" in done.stdout
+        assert f"  {name:<10} {summary}\n" in shown
 
 
 def test_a_run_in_one_process_imports_no_library_of_buses_and_logs() -> None:
     program = "import sys, sil.simulation.runner as r; print({'can', 'asammdf', 'pandas'} & set(sys.modules))"
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
-    )
-    assert done.stdout == "set()\n"
+    assert printed(program) == "set()\n"
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_every_command_has_help_with_an_example(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_has_help_with_an_example(name: str, capsys: Capture) -> None:
     assert cli.main([name, "--help"]) == 0
     output = capsys.readouterr().out
     assert f"opc4 {name} " in output[output.index("example:") :]
     assert importlib.import_module(f"sil.cli.{name}").__doc__
 
 
-def test_no_command_and_unknown_command_are_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_command_and_unknown_command_are_bad_usage(capsys: Capture) -> None:
     assert cli.main([]) == 2
     assert cli.main(["rnu"]) == 2
     assert "expected one of run" in capsys.readouterr().err
 
 
-def test_bad_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_usage_is_one_line(capsys: Capture) -> None:
     assert cli.main(["run"]) == 2
     assert cli.main(["run", "lab_n_b", "--forc"]) == 2
     output = capsys.readouterr().err.splitlines()
@@ -84,22 +84,20 @@ def test_bad_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("words", [["run", "lab_n_b", "--forc"], ["diagnose"], ["rnu"], []])
-def test_bad_usage_is_one_json_object(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_usage_is_one_json_object(words: list[str], capsys: Capture) -> None:
     assert cli.main([*words, "--json"]) == 2
     output = capsys.readouterr()
     found = json.loads(output.out)
     assert found["exit_code"] == 2 and output.err.endswith(f": {found['error']}\n")
 
 
-def test_a_place_for_junit_that_does_not_exist_is_bad_input(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_place_for_junit_that_does_not_exist_is_refused(capsys: Capture) -> None:
     assert cli.main(["run", "lab_n_b", "--junit", "no/such/folder/junit.xml"]) == 2
     assert "--junit: no such folder" in capsys.readouterr().err
 
 
 def test_an_empty_argument_and_a_folder_for_junit_are_bad_input(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: Capture
 ) -> None:
     assert cli.main(["run", "lab_n_b", "--out", ""]) == 2
     assert capsys.readouterr().err == "opc4: an empty argument; expected none\n"
@@ -110,7 +108,7 @@ def test_an_empty_argument_and_a_folder_for_junit_are_bad_input(
     assert "--junit: is a folder; expected a file" in capsys.readouterr().err
 
 
-def test_bad_input_is_exit_2_and_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_exit_2_and_one_json_object(capsys: Capture) -> None:
     assert cli.main(["run", "no_such_scenario", "--json"]) == 2
     output = capsys.readouterr()
     assert json.loads(output.out)["exit_code"] == 2
@@ -184,7 +182,7 @@ def test_a_draft_runs_as_it_is(
     then: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    capsys: Capture,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main([command, "--new", name]) == 0
@@ -200,7 +198,7 @@ def test_a_draft_runs_as_it_is(
 
 
 def test_the_draft_of_a_firmware_changes_what_it_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["firmware", "--new", "own.py"]) == 0
@@ -218,9 +216,7 @@ def test_the_draft_of_a_firmware_changes_what_it_says(
         (["run", "--new", "nowhere/my.toml"], "no such folder; expected a file in one that exists"),
     ],
 )
-def test_what_is_no_draft_is_one_line(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_draft_is_one_line(words: list[str], said: str, capsys: Capture) -> None:
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
@@ -229,9 +225,7 @@ def test_what_is_no_draft_is_one_line(
 LOG = "(0000000000.001000) opc4 0CFF2091#0011223344556677\n"
 
 
-def test_convert_writes_once_and_refuses_the_rest(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_convert_writes_once_and_refuses_the_rest(tmp_path: Path, capsys: Capture) -> None:
     source, target = tmp_path / "bus.log", tmp_path / "bus.asc"
     source.write_text(LOG)
     assert cli.main(["convert", str(source), str(target), "--json"]) == 0
@@ -251,7 +245,7 @@ def test_a_path_that_cannot_exist_is_bad_input(
     name: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    capsys: Capture,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
@@ -271,16 +265,14 @@ def test_a_path_that_cannot_exist_is_bad_input(
         (["whatif"], "no STUDY; expected a file or a shipped name"),
     ],
 )
-def test_a_wrong_option_is_one_line(
-    words: list[str], line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_option_is_one_line(words: list[str], line: str, capsys: Capture) -> None:
     assert cli.main(words) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert line in said
 
 
 def test_a_path_without_permission_is_bad_input(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     out, report = tmp_path / "out", tmp_path / "a.xml"
     monkeypatch.setattr("os.access", lambda *_: False)
@@ -290,7 +282,7 @@ def test_a_path_without_permission_is_bad_input(
 
 
 def test_a_folder_that_holds_a_run_is_refused_before_logs_are_judged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: Capture
 ) -> None:
     source, out = tmp_path / "bus.log", tmp_path / "out"
     source.write_text(LOG)
@@ -342,7 +334,7 @@ def test_a_bad_file_is_refused_in_one_line(
     spoil: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    capfd: Capture,
 ) -> None:
     if suffix in MAY_WAIT and spoil == "pipe":
         return
@@ -359,7 +351,7 @@ def test_a_bad_file_is_refused_in_one_line(
 
 
 def test_a_full_disk_is_told_with_the_file_that_it_has_no_room_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     rows = "".join(f"{k / 1000},{k * 1e-4},{k}\n" for k in range(100))

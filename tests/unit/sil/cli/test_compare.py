@@ -42,9 +42,8 @@ def test_a_later_valve_moves_events_and_metrics_by_its_delay(
         before_s, after_s = events[name]
         assert after_s - before_s == pytest.approx(0.004, abs=1e-6)
     assert "coil B on" not in events and "commanded" not in events
-    assert {p.name for p in out.iterdir()} == {
-        *("compare.json", "compare.png", "compare.svg", "report.html")
-    }
+    files = {"compare.json", "compare.png", "compare.svg", "report.html"}
+    assert {p.name for p in out.iterdir()} == files
     assert "valve B open" in (out / "report.html").read_text(encoding="utf-8")
 
 

@@ -34,9 +34,8 @@ def test_a_failed_row_has_its_reason_and_ends_with_1(tmp_path: Path, capsys: Any
     with open(out / "results.csv", newline="") as file:
         failed, passed = csv.DictReader(file)
     assert (failed["outcome"], passed["outcome"], passed["reason"]) == ("failed", "passed", "")
-    assert failed["reason"].startswith(
-        "the shift to backward did not arrive; the controller reported"
-    )
+    said = "the shift to backward did not arrive; the controller reported"
+    assert failed["reason"].startswith(said)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["outcomes"] == {"passed": 1, "failed": 1, "not_run": 0}
     (reason,) = summary["reasons"]
@@ -65,19 +64,16 @@ def test_a_model_replaces_that_of_the_study(tmp_path: Path, capsys: Any) -> None
     model.write_text('[base]\nmodel = "nominal"\n[effect.none]\n')
     for command in (["whatif", path], ["run", "lab_n_b"]):
         assert main([*command, "--out", str(tmp_path / "none"), "--model", str(model)]) == 2
-        error = capsys.readouterr().err
-        assert error.startswith(
-            f"opc4 {command[0]}: --model: {model}: effect 'none': no such effect"
-        )
+        said = f"opc4 {command[0]}: --model: {model}: effect 'none': no such effect"
+        assert capsys.readouterr().err.startswith(said)
         assert not (tmp_path / "none").exists()
     with open(path, "r+", encoding="utf-8") as file:
         text = file.read()
         file.seek(0)
         file.write('model = "none.toml"\n' + text)
     assert main(["whatif", path, "--out", str(tmp_path / "none")]) == 2
-    assert capsys.readouterr().err == (
-        f"opc4 whatif: {path}: model: none.toml: no such file; expected a TOML file\n"
-    )
+    said = f"opc4 whatif: {path}: model: none.toml: no such file; expected a TOML file\n"
+    assert capsys.readouterr().err == said
 
 
 def test_a_study_whose_first_row_is_refused_leaves_no_folder(tmp_path: Path, capsys: Any) -> None:

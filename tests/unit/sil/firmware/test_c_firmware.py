@@ -183,10 +183,8 @@ def test_the_command_ends_with_3_and_the_next_run_is_not_affected(
     words += ["--set", "controller.windows.samples=14", "--out", str(tmp_path / "out")]
     before = run_in_memory(load("lab_n_b", settings={"firmware": "c"})).trace_sha256
     assert main(words) == 3
-    complaint = capsys.readouterr().err
-    assert re.search(
-        r"faults\.c:35:22: signed integer overflow, tick 5 \(at 0\.050000 s sim", complaint
-    )
+    place = "faults.c:35:22: signed integer overflow, tick 5 (at 0.050000 s sim"
+    assert place in capsys.readouterr().err
     assert run_in_memory(load("lab_n_b", settings={"firmware": "c"})).trace_sha256 == before
     out = tmp_path / "out"
     assert {"break_5.c", "opc4.h", "break_5.opc4"} < {path.name for path in out.iterdir()}

@@ -100,11 +100,8 @@ def test_the_delays_of_a_valve_do_not_cover_each_other(
 def test_the_picture_shows_the_lag_of_the_metrics() -> None:
     record = made_run.made()
     shifts = metrics.shifts(record, Gear.NEUTRAL)
-    lags = [
-        f"{1e3 * lag:.0f} ms late"
-        for lag in (shifts[0].position_lag_10_s, shifts[0].position_lag_90_s)
-        if lag
-    ]
+    lags_s = (shifts[0].position_lag_10_s, shifts[0].position_lag_90_s)
+    lags = [f"{1e3 * lag_s:.0f} ms late" for lag_s in lags_s if lag_s]
     notes = [note.text for note in run_figure(record, shifts).stacks[0].panels[0].notes]
     assert lags and [text for text in notes if text.endswith("late")] == lags
 
@@ -130,14 +127,12 @@ def test_faults_and_their_detection_are_marked_in_every_panel() -> None:
     for panel in stack.panels:
         (span,) = [span for span in panel.spans if span.role == "fault"]
         assert (span.start, span.end) == (pytest.approx(120.0), pytest.approx(1500.0))
-        assert [rule.at for rule in panel.rules if rule.role == "alarm"] == [
-            pytest.approx(161.4, abs=0.1)
-        ]
+        (alarm,) = [rule.at for rule in panel.rules if rule.role == "alarm"]
+        assert alarm == pytest.approx(161.4, abs=0.1)
     position = stack.panels[0]
     assert position.keys == [("fault: frozen counter PositionPulse", "fault")]
-    assert [rule.text for rule in position.rules if rule.role == "alarm"] == [
-        "POSITION_LOST reported"
-    ]
+    (alarm,) = [rule.text for rule in position.rules if rule.role == "alarm"]
+    assert alarm == "POSITION_LOST reported"
     assert stack.zooms[0].low < 161.4 < stack.zooms[0].high
     assert fault_lines(run.record, run.scenario) == [
         "fault: frozen counter PositionPulse, from 120 ms on",

@@ -108,9 +108,8 @@ def test_a_request_that_nobody_answers() -> None:
     assert broken(sent_otherwise(ControllerStatus, idle)) == expected
     assert broken(sent_otherwise(ControllerStatus, idle), disturbed=True) == []
     for unreliable in ({"true_samples": False}, {"forced": True}):
-        assert "unanswered_request" not in broken(
-            sent_otherwise(ControllerStatus, idle), **unreliable
-        )
+        record = sent_otherwise(ControllerStatus, idle)
+        assert "unanswered_request" not in broken(record, **unreliable)
 
 
 def test_a_push_that_is_given_up_too_early() -> None:
@@ -235,10 +234,8 @@ def test_a_gear_confirmed_after_the_samples_have_ended() -> None:
 
 
 def test_a_push_without_a_request() -> None:
-    assert broken(without(ShiftRequest, 0.0, healthy().record)) == [
-        "unrequested_push",
-        "missed_loss",
-    ]
+    never = without(ShiftRequest, 0.0, healthy().record)
+    assert broken(never) == ["unrequested_push", "missed_loss"]
     latest = without(ShiftRequest, 0.105, healthy().record)  # still valid when the push begins
     assert broken(latest) == ["missed_loss"]
 

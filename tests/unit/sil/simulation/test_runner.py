@@ -77,9 +77,8 @@ def test_page_is_well_formed_and_needs_no_network() -> None:
     assert tags.sources and all(s.startswith("data:image/png;base64,") for s in tags.sources)
     assert "<script>alert" not in page and "&lt;script&gt;" in page
     assert "50 ms" in page and "prefers-color-scheme: dark" in page
-    assert run_page(
-        finished_result(complete=False, why="plant died", scenario={"description": ""}), None
-    )
+    ended = finished_result(complete=False, why="plant died", scenario={"description": ""})
+    assert run_page(ended, None)
 
 
 def test_an_overloaded_bus_is_a_warning_with_its_cause_in_result_and_page(
@@ -98,9 +97,8 @@ def test_an_overloaded_bus_is_a_warning_with_its_cause_in_result_and_page(
 
 
 def test_json_has_no_nan_and_the_promised_names() -> None:
-    output = json.loads(
-        as_json(finished_result(metrics={"a": float("nan"), "b": [float("inf"), 1.0]}))
-    )
+    metrics = {"a": float("nan"), "b": [float("inf"), 1.0]}
+    output = json.loads(as_json(finished_result(metrics=metrics)))
     assert output["metrics"] == {"a": None, "b": [None, 1.0]}
     promised = "passed expectations metrics trace_sha256 seed versions scenario"
     assert set(promised.split()) <= output.keys()
@@ -113,9 +111,8 @@ def test_versions_name_the_libraries_a_result_depends_on() -> None:
 
 def test_junit_counts_failures_and_an_unfinished_run() -> None:
     bad = Check(name='<a> & "b"', passed=False, value=None, limit={"max": 1.0})
-    text = junit_xml(
-        finished_result(expectations=[*finished_result().expectations, bad], passed=False)
-    )
+    checks = [*finished_result().expectations, bad]
+    text = junit_xml(finished_result(expectations=checks, passed=False))
     suite = ElementTree.fromstring(text.split("\n", 1)[1])[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "1", "0")
     assert [c.get("name") for c in suite] == ["final gear", '<a> & "b"']
@@ -146,9 +143,8 @@ def test_another_valve_is_another_run() -> None:
 
 def test_a_request_that_the_run_is_too_short_for_fails_it_and_says_by_how_much() -> None:
     table = {"name": "short", "duration_s": 0.45, "request": [{"at_s": 0.4, "gear": "backward"}]}
-    failed = [
-        check for check in run_in_memory(from_table(table, "short")).checks if not check.passed
-    ]
+    checks = run_in_memory(from_table(table, "short")).checks
+    failed = [check for check in checks if not check.passed]
     assert [check.name for check in failed] == ["request for backward"]
     missing_s = 1e-3 * float(str(failed[0].value).split()[-2])
     assert 0.04 < missing_s < 0.1

@@ -27,9 +27,8 @@ HEADLINES = [headline.name for headline in shipped_headlines()]
 def test_a_radial_design_changes_one_value_at_a_time() -> None:
     points = drawn_shares(Design(kind="radial", samples=8, seed=3), 4).reshape(8, 5, 4)
     for block in points:
-        assert [np.flatnonzero(row != block[0]).tolist() for row in block[1:]] == [
-            [k] for k in range(4)
-        ]
+        changed = [np.flatnonzero(row != block[0]).tolist() for row in block[1:]]
+        assert changed == [[k] for k in range(4)]
 
 
 def test_total_indices_of_the_ishigami_function() -> None:
@@ -60,10 +59,8 @@ def test_one_at_a_time_begins_with_the_model_as_it_is() -> None:
         assert len(changed) == 1
     radial = load_study("sensitivity_global")
     assert radial.size == 40 * 10
-    assert {*study.file.columns()} - {*radial.file.columns()} == {
-        "often_ahead_m_s",
-        "often_damper_m_s",
-    }
+    only = {*study.file.columns()} - {*radial.file.columns()}
+    assert only == {"often_ahead_m_s", "often_damper_m_s"}
 
 
 BY_CONDITION = {
@@ -143,10 +140,8 @@ def test_factors_keep_what_they_should() -> None:
     assert shares["friction_length.F_sf_s"] == pytest.approx(46.5)
     assert shares["friction_length.F_sf_p"] == pytest.approx(24.5)
     shape = parameters.override(FACTORS["charge_shape"](parameters, 0.5))
-    low = (
-        np.polynomial.Polynomial(each.values("flow_charge.c_low")) for each in (parameters, shape)
-    )
-    nominal, stretched = low
+    low = (each.values("flow_charge.c_low") for each in (parameters, shape))
+    nominal, stretched = map(np.polynomial.Polynomial, low)
     assert stretched(0.8) == pytest.approx(nominal(0.9))
 
 
@@ -180,9 +175,8 @@ def test_a_headline_without_any_row_is_not_run_and_not_drawn() -> None:
     table = Table({}, swept | margins, study.size)
     (text,) = study.file.texts(study, table).values()
     assert text.count("not run") == len(study.file.sweep)
-    drawn = [
-        len(stack.panels[0].spans) for stack in study.file.draw(study, table)["sensitivity"].stacks
-    ]
+    stacks = study.file.draw(study, table)["sensitivity"].stacks
+    drawn = [len(stack.panels[0].spans) for stack in stacks]
     assert drawn == [0 if name == "late_s" else len(study.file.sweep) for name in HEADLINES]
 
 
