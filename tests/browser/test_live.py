@@ -139,10 +139,6 @@ def test_another_scenario_keeps_what_means_the_same(browser: Any, live: Live) ->
     assert first.first_selected_option.text in {option.text for option in only.options}
 
 
-def tomllib_of(text: str) -> dict[str, Any]:
-    return tomllib.loads(text)
-
-
 def test_a_slider_a_reload_and_a_second_tab(browser: Any, live: Live) -> None:
     page = Page(browser, live.address)
     page.wait(page.drawn)
@@ -194,7 +190,7 @@ def test_something_is_broken_and_mended(browser: Any, live: Live) -> None:
     Select(browser.find_element(By.NAME, "node")).select_by_visible_text("controller")
     broken = page.after(lambda: browser.find_element(By.CSS_SELECTOR, "#fault button").click())
     assert "bus_off from 0.15 s" in page.text("faults") and "[[fault]]" in page.scenario()
-    assert run(tomllib_of(page.scenario())).trace_sha256 == broken
+    assert run(tomllib.loads(page.scenario())).trace_sha256 == broken
     kinds = Select(browser.find_element(By.CSS_SELECTOR, "#fault select"))
     kinds.select_by_visible_text("bus: delay")
     delay = browser.find_element(By.NAME, "delay_s")
@@ -202,10 +198,8 @@ def test_something_is_broken_and_mended(browser: Any, live: Live) -> None:
     browser.find_element(By.CSS_SELECTOR, "#fault button").click()
     page.wait(lambda: "delay_s" in page.text("error"))
     assert page.text("trace") == broken  # refused with its line, nothing lost
-    mended = page.after(
-        lambda: browser.find_element(By.CSS_SELECTOR, "#faults button").send_keys(Keys.ENTER)
-    )
-    assert mended == whole
+    remove = browser.find_element(By.CSS_SELECTOR, "#faults button")
+    assert page.after(lambda: remove.send_keys(Keys.ENTER)) == whole
     Select(page.one("only")).select_by_visible_text("ValveCommand")
     rows = browser.find_elements(By.CSS_SELECTOR, "#frames tbody tr")
     assert rows and all("ValveCommand" in row.get_attribute("textContent") for row in rows)

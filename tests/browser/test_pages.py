@@ -58,9 +58,8 @@ def test_it_opens_without_a_complaint_and_asks_the_network_for_nothing(
     opened(browser, page)
     assert browser.get_log("browser") == []
     assert browser.title and browser.find_element(By.TAG_NAME, "h1").text
-    asked = browser.execute_script(
-        "return performance.getEntriesByType('resource').map(e => e.name)"
-    )
+    script = "return performance.getEntriesByType('resource').map(e => e.name)"
+    asked = browser.execute_script(script)
     assert [name for name in asked if not name.startswith("data:")] == []
 
 
@@ -68,9 +67,8 @@ def test_every_panel_and_picture_is_drawn(browser: Any, page: str) -> None:
     opened(browser, page)
     inked = browser.execute_script(INK)
     assert len(inked) >= 1 and min(inked) > LEAST_INK, inked
-    sizes = browser.execute_script(
-        "return [...document.images].map(i => [i.complete, i.naturalWidth])"
-    )
+    script = "return [...document.images].map(i => [i.complete, i.naturalWidth])"
+    sizes = browser.execute_script(script)
     assert len(sizes) >= 1 and all(whole and wide > 300 for whole, wide in sizes)
 
 

@@ -153,9 +153,8 @@ def test_a_plant_that_records_elsewhere_is_named(tmp_path: Path) -> None:
     finished = runner.run(loaded, folder, transport="local", external=["plant"], say=start)
     assert nodes[0].wait(60.0) == 0
     assert not finished.result.complete
-    assert finished.result.why == (
-        f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
-    )
+    why = f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
+    assert finished.result.why == why
 
 
 class Guest:

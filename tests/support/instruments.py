@@ -118,9 +118,7 @@ def _noticeable(cause: dict[str, Any], found: dict[str, Any]) -> bool:
 
 def cells() -> list[tuple[int, int, bool]]:
     """Return rate, noise and gauges of every cell wanted."""
-    known = [
-        (rate, noise, gauges) for gauges in (True, False) for rate in RATES_HZ for noise in NOISES
-    ]
+    known = [(rate, noise, g) for g in (True, False) for rate in RATES_HZ for noise in NOISES]
     wanted = os.environ.get("OPC4_CELLS", "")
     return [cell for cell in known if not wanted or name_of(*cell) in wanted.split(",")]
 
@@ -142,12 +140,8 @@ def judged(source: Path, folder: Path, cell: tuple[int, int, bool]) -> dict[str,
     try:
         found = diagnose(load_campaign(campaign), load(), workers=1).as_json()
     except InputError as error:
-        found = {
-            "verdict": "cannot_tell",
-            "causes": [],
-            "rivals": [],
-            "gain": {"standardised": str(error)},
-        }
+        found = {"verdict": "cannot_tell", "causes": [], "rivals": []}
+        found["gain"] = {"standardised": str(error)}
     causes = expected(source.name)
     return {
         "campaign": source.name,
@@ -168,9 +162,8 @@ def measure() -> Iterator[str]:
 
     folder = Path(os.environ.get("OPC4_STUDY", "runs/instruments"))
     measured = Path(os.environ.get("OPC4_CAMPAIGNS", "campaigns"))
-    sources = sorted(
-        p.parent for p in measured.glob("*/campaign.toml") if p.parent.name != "reference"
-    )
+    folders = sorted(path.parent for path in measured.glob("*/campaign.toml"))
+    sources = [folder for folder in folders if folder.name != "reference"]
     folder.mkdir(parents=True, exist_ok=True)
     for seed in CLEAN:
         clean = folder / f"clean_{seed}"

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from itertools import cycle, islice
 from pathlib import Path
 
 SHORT_S, LONG_S = 30, 120
@@ -66,9 +67,8 @@ def made_log(path: Path, duration_s: int) -> Path:
     from sil.simulation.in_memory import run_in_memory
     from sil.simulation.load_scenario import from_table
 
-    requests = [
-        {"at_s": 0.1 + 0.5 * k, "gear": GEARS[k % len(GEARS)]} for k in range(2 * duration_s - 1)
-    ]
+    gears = islice(cycle(GEARS), 2 * duration_s - 1)
+    requests = [{"at_s": 0.1 + 0.5 * k, "gear": gear} for k, gear in enumerate(gears)]
     table = {
         "name": "many shifts",
         "duration_s": float(duration_s),

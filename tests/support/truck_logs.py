@@ -104,9 +104,8 @@ def trips(
         driveline = same["driveline"] | {"residual_rad_s": raw["driveline"]["residual_rad_s"]}
         raw |= {"plant": same["plant"], "clock": same["clock"], "driveline": driveline}
         later = cause if trip >= at else {}
-        loaded = load_scenario.from_table(
-            raw, "drawn", settings=settings | later, seed=1000 * seed + trip
-        )
+        given = {"settings": settings | later, "seed": 1000 * seed + trip}
+        loaded = load_scenario.from_table(raw, "drawn", **given)
         begin_ns = (FIRST_DAY_S + trip * DAY_S) * 1_000_000_000
         _write(folder / f"{trip:03d}.log", loaded, begin_ns)
 
@@ -114,9 +113,8 @@ def trips(
 def _write(path: Path, loaded: load_scenario.Loaded, begin_ns: int = 0) -> None:
     with open_writer(str(path)) as writer:
         for entry in run_in_memory(loaded).record.frames:
-            writer.write(
-                LogFrame(begin_ns + entry.arrival_ns, entry.frame.can_id, entry.frame.data)
-            )
+            frame = entry.frame
+            writer.write(LogFrame(begin_ns + entry.arrival_ns, frame.can_id, frame.data))
 
 
 CAUSES: dict[str, tuple[str, float, float]] = {

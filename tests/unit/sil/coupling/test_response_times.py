@@ -136,9 +136,8 @@ def test_the_contract_at_each_bit_rate(bitrate: int) -> None:
 
 
 def test_a_faster_firmware_raises_the_load() -> None:
-    fast = dict.fromkeys(
-        ("ValveCommand", "SafetyBlow", "ControllerStatus", "PositionPulse"), 2_500 * US
-    )
+    names = ("ValveCommand", "SafetyBlow", "ControllerStatus", "PositionPulse")
+    fast = dict.fromkeys(names, 2_500 * US)
     results = {r.message.name: r for r in response_times(contract_messages(fast), 500_000)}
     assert results["PlantPressures"].response_ns > 3_200 * US
     assert results["PlantPressures"].in_time
@@ -177,9 +176,7 @@ def test_a_foreign_database() -> None:
     assert everything == contract_messages(truck)
     assert [m for m in everything if m.name not in truck] == list(contract_messages())
     text = (
-        "BU_: A\n"
-        "BO_ 5 Slow: 3 A\n\n"
-        "BO_ 6 Event: 8 A\n\n"
+        "BU_: A\nBO_ 5 Slow: 3 A\n\nBO_ 6 Event: 8 A\n\n"
         'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\n'
         'BA_DEF_DEF_ "GenMsgCycleTime" 0;\n'
     )

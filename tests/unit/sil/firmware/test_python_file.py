@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -169,14 +170,13 @@ def test_a_replay_of_a_firmware_that_exits_is_exit_3(
 
 
 def test_a_process_serves_one_run_after_the_other(tmp_path: Path) -> None:
-    loaded = load(
-        str(broken(tmp_path, "import sys\nsys.runs = getattr(sys, 'runs', 0) + 1\n" + OURS))
-    )
-    first = python_file.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
-    second = python_file.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    counts = "import sys\nsys.runs = getattr(sys, 'runs', 0) + 1\n"
+    scenario = load(str(broken(tmp_path, counts + OURS))).scenario
+    own = partial(python_file.OwnController, scenario.firmware, scenario.controller)
+    first, second = own(), own()
     servers = {id(first._server), id(second._server)}
     first.close()
-    third = python_file.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    third = own()
     assert len(servers) == 2 and id(third._server) in servers
     assert third.advance(0, [])[0] == second.advance(0, [])[0]
     second.close()

@@ -36,9 +36,7 @@ def hunted(workers: int, generations: int, hunt: Hunt | None = None) -> Hunt:
 
 
 def comparable(hunt: Hunt) -> list[Any]:
-    return [
-        {k: v for k, v in msgspec.to_builtins(g).items() if k != "wall_s"} for g in hunt.generations
-    ]
+    return [msgspec.to_builtins(msgspec.structs.replace(g, wall_s=0.0)) for g in hunt.generations]
 
 
 def test_what_is_drawn_is_a_scenario() -> None:
@@ -54,9 +52,8 @@ def test_what_is_drawn_is_a_scenario() -> None:
 
 def test_one_worker_two_or_an_interruption_make_no_difference(tmp_path: Path) -> None:
     whole = hunted(1, 3)
-    assert all(
-        len(g.transitions) > 5 and set(g.shortest) == set(g.transitions) for g in whole.generations
-    )
+    for each in whole.generations:
+        assert len(each.transitions) > 5 and set(each.shortest) == set(each.transitions)
     assert comparable(hunted(2, 3)) == comparable(whole)
     first = hunted(1, 1)
     lines = [json.dumps({"sha256": first.digest}).encode()]
