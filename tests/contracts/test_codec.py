@@ -1,4 +1,4 @@
-"""The codec against cantools, the authority on opc4.dbc, and its strictness."""
+"""The codec against cantools, the authority on opc4.dbc, its strictness; control frames of the transports."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from can_dbc.codec import can_id_of, decode, encode, message_type_of
 from can_dbc.contract import DBC_PATH
 from can_dbc.dbc import load_dbc
 from can_dbc.errors import CodecError, InputError
-from can_dbc.frame import Frame
+from can_dbc.frame import EDP_BIT, Frame
+from sil.coupling.clock import NEVER_NS
+from sil.coupling.transports import wire
+from sil.coupling.transports.wire import Kind
 
 TYPES = tuple(m.SIGNALS)
 SIGNALS = {
@@ -33,14 +36,9 @@ NAMES = [message_type.__name__ for message_type in TYPES]
 every_message = pytest.mark.parametrize("message_type", TYPES, ids=NAMES)
 
 SI_PER_UNIT = {
-    "%": 1 / 100,
-    "ms": 1e-3,
-    "mm/s": 1e-3,
-    "us": 1e-6,
-    "um": 1e-6,
-    "rpm": 2 * math.pi / 60,
+    "%": 1 / 100, "ms": 1e-3, "mm/s": 1e-3, "us": 1e-6, "um": 1e-6, "rpm": 2 * math.pi / 60,
     "kPa": 1e3,
-}
+}  # fmt: skip
 
 
 @cache
@@ -224,44 +222,26 @@ STATUS = m.ControllerStatus(m.ShiftState.BLOW, m.Gear.NEUTRAL, -0.01285, m.Fault
 @pytest.mark.parametrize(
     ("message", "field", "value"),
     [
-        (COMMAND, "duty_b", math.nan),
-        (COMMAND, "duty_b", math.inf),
-        (COMMAND, "duty_n", -math.inf),
-        (COMMAND, "duty_f", -0.0001),
-        (COMMAND, "duty_b", 1.0001),
-        (COMMAND, "duty_b", 1e300),
-        (COMMAND, "duty_b", None),
-        (COMMAND, "duty_b", "0.5"),
-        (COMMAND, "target", 2),
-        (COMMAND, "target", m.Chamber.F),
-        (COMMAND, "target", None),
-        (BLOW, "active", None),
-        (BLOW, "active", 2),
-        (BLOW, "active", []),
-        (BLOW, "remaining_s", 4.0961),
-        (PULSE, "pulse_s", -1e-6),
-        (PULSE, "coil_temperature_k", 1000.1),
-        (PULSE, "sample_index", 256),
-        (PULSE, "sample_index", -1),
-        (PULSE, "sample_index", 1.0),
-        (SPEEDS, "input_rad_s", 1000.001),
-        (SPEEDS, "output_rad_s", -1000.001),
-        (STATUS, "estimate_m", 0.5001),
-        (STATUS, "estimate_m", -0.5001),
-        (STATUS, "faults", 3),
-        (STATUS, "state", m.Gear.NEUTRAL),
-        (m.Etc1(), "output_shaft_rad_s", 842.0),
-        (m.Etc1(), "clutch_slip", math.nan),
-        (m.Etc1(), "controlling_address", 254),
-        (m.Etc2(), "current_gear", 127),
-        (m.Etc2(), "current_gear", -126),
-        (m.Etc2(), "requested_range", "N"),
-        (m.Etc2(), "requested_range", "N12"),
-        (m.Etc2(), "requested_range", "\xff1"),
-        (m.Etc2(), "requested_range", "1\xff"),
-        (m.Etc2(), "requested_range", "€1"),
+        (COMMAND, "duty_b", math.nan),           (COMMAND, "duty_b", math.inf),
+        (COMMAND, "duty_n", -math.inf),          (COMMAND, "duty_f", -0.0001),
+        (COMMAND, "duty_b", 1.0001),             (COMMAND, "duty_b", 1e300),
+        (COMMAND, "duty_b", None),               (COMMAND, "duty_b", "0.5"),
+        (COMMAND, "target", 2),                  (COMMAND, "target", m.Chamber.F),
+        (COMMAND, "target", None),               (BLOW, "active", None),
+        (BLOW, "active", 2),                     (BLOW, "active", []),
+        (BLOW, "remaining_s", 4.0961),           (PULSE, "pulse_s", -1e-6),
+        (PULSE, "coil_temperature_k", 1000.1),   (PULSE, "sample_index", 256),
+        (PULSE, "sample_index", -1),             (PULSE, "sample_index", 1.0),
+        (SPEEDS, "input_rad_s", 1000.001),       (SPEEDS, "output_rad_s", -1000.001),
+        (STATUS, "estimate_m", 0.5001),          (STATUS, "estimate_m", -0.5001),
+        (STATUS, "faults", 3),                   (STATUS, "state", m.Gear.NEUTRAL),
+        (m.Etc1(), "output_shaft_rad_s", 842.0), (m.Etc1(), "clutch_slip", math.nan),
+        (m.Etc1(), "controlling_address", 254),  (m.Etc2(), "current_gear", 127),
+        (m.Etc2(), "current_gear", -126),        (m.Etc2(), "requested_range", "N"),
+        (m.Etc2(), "requested_range", "N12"),    (m.Etc2(), "requested_range", "\xff1"),
+        (m.Etc2(), "requested_range", "1\xff"),  (m.Etc2(), "requested_range", "€1"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_sent_is_refused_by_field(message: Any, field: str, value: object) -> None:
     encode(message)
     wrong = replace(message, **{field: value})
@@ -278,16 +258,10 @@ def test_what_cannot_be_sent_is_refused_by_field(message: Any, field: str, value
             replace(PULSE, sample_index=256),
             "PositionPulse.sample_index: 256 cannot be sent; expected a whole number from 0 to 255",
         ),
+        (replace(COMMAND, target=1), "ValveCommand.target: 1 cannot be sent; expected a Gear"),
+        (replace(BLOW, active=None), "SafetyBlow.active: None cannot be sent; expected a bool"),
         (
-            replace(COMMAND, target=1),  # type: ignore[arg-type]
-            "ValveCommand.target: 1 cannot be sent; expected a Gear",
-        ),
-        (
-            replace(BLOW, active=None),  # type: ignore[arg-type]
-            "SafetyBlow.active: None cannot be sent; expected a bool",
-        ),
-        (
-            m.Etc1(shift_in_process=7),  # type: ignore[arg-type]
+            m.Etc1(shift_in_process=7),
             "Etc1.shift_in_process: 7 cannot be sent; expected a bool or None",
         ),
         (
@@ -461,8 +435,7 @@ def test_truth_values_of_numpy_and_flags() -> None:
     again = decode(encode(both))
     assert isinstance(again, m.ControllerStatus)
     assert again.faults == m.Fault(9)
-    assert isinstance(again.faults, IntFlag)
-    assert isinstance(again.state, IntEnum)
+    assert isinstance(again.faults, IntFlag) and isinstance(again.state, IntEnum)
 
 
 def test_a_codec_that_contradicts_itself_says_so() -> None:
@@ -486,3 +459,90 @@ def test_the_hot_path_does_without_cantools() -> None:
     ).split()
     assert "e2e" in loaded
     assert not {"cantools", "can", "numpy", "bitstruct", "textparser"} & set(loaded)
+
+
+DATABASE = load_dbc(DBC_PATH)
+DBC_NAME = {kind: kind.name.title().replace("_", "") for kind in Kind}
+
+
+def test_both_know_the_same_kinds() -> None:
+    in_dbc = {x.name: x.frame_id for x in DATABASE.messages if x.frame_id & EDP_BIT}
+    assert {DBC_NAME[kind]: int(kind) for kind in Kind} == in_dbc
+
+
+@pytest.mark.parametrize(
+    ("kind", "signals", "record"),
+    [
+        (Kind.START, {"EndTime": 123}, {"value": 123}),
+        (
+            Kind.STOP,
+            {"StopReason": m.StopReason.ABORTED, "StopTime": 5},
+            {"participant": m.StopReason.ABORTED, "value": 5},
+        ),
+        (
+            Kind.GRANT,
+            {"Participant": 2, "Frames": 255, "GrantedTime": 10**13},
+            {"participant": 2, "extra": 255, "value": 10**13},
+        ),
+        (
+            Kind.BUS_TIME,
+            {"Sender": 1, "Checksum": 0xAB, "ArrivalTime": 77},
+            {"participant": 1, "extra": 0xAB, "value": 77},
+        ),
+        (
+            Kind.BUS_TIME,
+            {"Sender": 255, "Checksum": 0, "ArrivalTime": 77},
+            {"extra": 0, "value": 77},
+        ),
+        (
+            Kind.DONE,
+            {"Participant": 1, "Frames": 3, "NextEvent": NEVER_NS},
+            {"participant": 1, "extra": 3},
+        ),
+        (Kind.RELEASE, {"Participant": 3, "ReleaseTime": 9}, {"participant": 3, "value": 9}),
+        (
+            Kind.HELLO,
+            {"Participant": 2, "Version": 1, "Nonce": 0xBEEF, "Scenario": 0x1234_5678},
+            {"participant": 2, "extra": 1, "value": 0xBEEF | 0x1234_5678 << 16},
+        ),
+        (
+            Kind.WELCOME,
+            {"Participant": 2, "Version": 1, "WelcomeNonce": 0xBEEF},
+            {"participant": 2, "extra": 1, "value": 0xBEEF},
+        ),
+        (
+            Kind.REFUSED,
+            {"Participant": 2, "RefusalReason": 4, "RefusedNonce": 0xBEEF},
+            {"participant": 2, "extra": 4, "value": 0xBEEF},
+        ),
+        (
+            Kind.REFUSED,
+            {"Participant": 255, "RefusalReason": 5, "RefusedNonce": NEVER_NS},
+            {"extra": 5},
+        ),
+        *(
+            (kind, {"Participant": 2}, {"participant": 2})
+            for kind in (Kind.FAILED, Kind.SYNC, Kind.ACK, Kind.RETIRE, Kind.SKIP)
+        ),
+        (Kind.MONITOR, {"Echo": 1}, {"extra": 1}),
+    ],
+)
+def test_byte_by_byte(kind: Kind, signals: dict[str, int], record: dict[str, int]) -> None:
+    ((can_id, payload),) = wire.split(wire.control(kind, **record))
+    assert can_id == kind
+    found = DATABASE.get_message_by_frame_id(can_id)
+    assert found.decode(payload, decode_choices=False, scaling=False) == signals
+    used = found.encode(signals, padding=True, scaling=False)
+    assert used == payload
+
+
+@pytest.mark.parametrize(
+    ("name", "signal", "members"),
+    [
+        ("Stop", "StopReason", m.StopReason),
+        *((name, "Participant", m.ParticipantId) for name in ("Grant", "Done", "Release")),
+    ],
+)
+def test_value_tables_are_the_enums(name: str, signal: str, members: type[m.StopReason]) -> None:
+    choices = DATABASE.get_message_by_name(name).get_signal_by_name(signal).choices
+    assert {k: str(v) for k, v in choices.items()} == {x.value: x.name for x in members}

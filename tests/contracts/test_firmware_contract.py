@@ -107,7 +107,6 @@ def session(request: pytest.FixtureRequest) -> Session:
 def test_it_shifts(session: Session) -> None:
     assert session.stay.position_m == -STROKE_M
     last = session.messages(ControllerStatus)[-1]
-    assert isinstance(last, ControllerStatus)
     assert (last.state, last.confirmed, last.faults) == (ShiftState.IDLE, Gear.FORWARD, 0)
     states = [m.state for m in session.messages(ControllerStatus)]  # type: ignore[attr-defined]
     assert set(ShiftState) - set(states) == {ShiftState.FAULT}
@@ -139,8 +138,7 @@ def test_never_both_gears_and_a_blow_takes_over_from_its_command(session: Sessio
     seen = set()
     lasting = False
     for valves, blow in pairs:
-        assert isinstance(valves, ValveCommand)
-        assert isinstance(blow, SafetyBlow)
+        assert isinstance(valves, ValveCommand) and isinstance(blow, SafetyBlow)
         duties = (valves.duty_b, valves.duty_n, valves.duty_f)
         assert valves.duty_b <= 0.33 or valves.duty_f <= 0.33
         if blow.active:
@@ -159,7 +157,6 @@ def test_same_frames_from_the_same_inputs(session: Session) -> None:
 def test_the_node_is_a_participant() -> None:
     """Structure that the coordinator relies on."""
     node = ControllerNode(FirmwareConfig())
-    assert isinstance(node.name, str)
-    assert isinstance(node.start(), int)
+    assert isinstance(node.name, str) and isinstance(node.start(), int)
     assert list(inspect.signature(node.advance).parameters) == ["until_ns", "deliveries"]
     assert list(inspect.signature(node.close).parameters) == []

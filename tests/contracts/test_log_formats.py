@@ -122,8 +122,7 @@ def test_frames_come_back(fmt: Format, start_ns: int, tmp_path: Path) -> None:
     report = reader.report
     assert report.clean
     assert (report.frames, report.error, report.remote) == (len(frames), 1, 2)
-    assert report.fd == sum(frame.fd for frame in frames)
-    assert report.format == fmt.name
+    assert report.fd == sum(frame.fd for frame in frames) and report.format == fmt.name
     assert report.time_base == ("absolute" if start_ns else "relative")
     lossless = [fmt.held(frame) for frame in frames] == frames
     assert bool(writer.losses) is not lossless
@@ -458,9 +457,7 @@ def test_conversion_keeps_every_frame(source: Format, target: Format, tmp_path: 
     ]
     write(begin, frames)
     report = convert(begin, middle)
-    assert report.written == len(frames)
-    assert report.read is not None
-    assert report.read.clean
+    assert report.written == len(frames) and report.read.clean
     found = [f._replace(channel="") for f in open_log(middle)]
     assert found == [f._replace(channel="") for f in frames]
 
@@ -558,8 +555,7 @@ if CANLOGS is not None:
         lines = [] if frames.isdecimal() else path.read_text().splitlines()
         expected = int(frames) if not lines else sum(1 for line in lines if line.strip())
         assert len(found) == report.frames == expected
-        assert not report.skipped
-        assert not report.truncated
+        assert not report.skipped and not report.truncated
         counts = dict(word.split("=") for word in notes.split() if "=" in word)
         assert report.error == int(counts.get("err", 0))
         assert report.remote == int(counts.get("rtr", 0))
@@ -567,7 +563,6 @@ if CANLOGS is not None:
             assert report.fd == int(counts.get("fd", 0))
         if "time " in notes:
             first, last = notes.split("time ")[1].split("..")
-            assert report.first_ns is not None
-            assert report.last_ns is not None
+            assert report.first_ns is not None and report.last_ns is not None
             assert report.first_ns / 1e9 == pytest.approx(float(first), abs=1e-6)
             assert report.last_ns / 1e9 == pytest.approx(float(last), abs=1e-6)

@@ -39,7 +39,6 @@ VCAN = pytest.param("vcan0", marks=pytest.mark.vcan)
 every_transport = pytest.mark.parametrize("transport", ["inproc", "local", VCAN])
 every_remote_transport = pytest.mark.parametrize("transport", ["local", VCAN])
 
-
 pytestmark = pytest.mark.usefixtures("runtime_folder")
 
 
@@ -105,7 +104,6 @@ def test_same_hash_in_real_time(
         took = time.monotonic() - started
     assert run.sha256() == reference
     assert took >= END_NS / 1e9 / factor
-    assert summary.lateness is not None
     assert summary.lateness.instants > 60
     assert summary.lateness.max_s >= summary.lateness.p99_s >= summary.lateness.p50_s >= 0.0
 
@@ -235,7 +233,6 @@ def test_a_late_starter_is_waited_for(transport: str, tmp_path: Path, reference:
 
     def start_it(message: str) -> None:
         said.append(message)
-        assert run.remote is not None
         run.remote.spawn("controller", command("controller", channel_name(transport)))
 
     with toy_run(transport, tmp_path / "run", END_NS, external=["controller"], say=start_it) as run:
@@ -273,7 +270,6 @@ def test_an_unsuited_participant_is_refused_and_changes_nothing(
         run.lockstep.advance(100 * MS)
         second = ChildProcess(name, command(name, channel_name(transport), *options))
         while (ended := second.how_it_ended(0.0)) is None:
-            assert run.remote is not None
             run.remote.idle(0.02)
         second.end(0.0)
         run.lockstep.run()
@@ -370,6 +366,5 @@ def test_participants_are_granted_their_own_events_and_the_end_only(
         run.lockstep.run()
     node = run.nodes["driver"]
     own = list(range(PHASES_NS["driver"], END_NS, PERIODS_NS["driver"]))
-    assert node.instants == [*own, END_NS]
-    assert node.heard > 100
+    assert node.instants == [*own, END_NS] and node.heard > 100
     assert node.closed

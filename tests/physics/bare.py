@@ -16,20 +16,13 @@ NOMINAL = load()
 
 # Numbers that leave bodies without air and friction.
 AIRLESS = {
-    Parameters.area_p: 0.0,
-    Parameters.area_p2: 0.0,
-    Parameters.area_s: 0.0,
-    Parameters.k_in: 0.0,
+    Parameters.area_p: 0.0, Parameters.area_p2: 0.0, Parameters.area_s: 0.0, Parameters.k_in: 0.0,
     Parameters.k_out: 0.0,
-}
+}  # fmt: skip
 SMOOTH = {
-    Parameters.f_static_s: 0.0,
-    Parameters.f_run_s: 0.0,
-    Parameters.beta_s: 0.0,
-    Parameters.f_static_p: 0.0,
-    Parameters.f_run_p: 0.0,
-    Parameters.beta_p: 0.0,
-}
+    Parameters.f_static_s: 0.0, Parameters.f_run_s: 0.0, Parameters.beta_s: 0.0,
+    Parameters.f_static_p: 0.0, Parameters.f_run_p: 0.0, Parameters.beta_p: 0.0,
+}  # fmt: skip
 # Friction that holds everything.
 STUCK = {Parameters.f_static_s: 1e6, Parameters.f_static_p: 1e6}
 

@@ -1,4 +1,4 @@
-"""Oil damper: areas, steady speed, oil spring, decay after the stop, limits of the two models."""
+"""Oil damper: areas, steady speed, oil spring, decay after the stop, limits; its pressure of a known motion."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from plant.kernel.layout import FIXED, FixedState, Parameters
-from plant.parts.damper import large_area
+from plant.kernel.layout import FIXED, LENGTH, FixedState, Parameters
+from plant.kernel.packing import Load, pack
+from plant.parts.damper import large_area, steady_oil_pressure
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, STUCK, Bare
+from tests.reference import parts
 
 R_HOLE, X_HOLE, CAP = 0.0015, 0.0065, 1e-5
 FREE = {**AIRLESS, **SMOOTH}
@@ -35,8 +37,7 @@ def test_hole_area_is_that_of_two_circles_cut_by_a_straight_edge(covered: float)
 def test_outlet_is_capped_until_x_r_and_shut_past_the_holes() -> None:
     x_r = NOMINAL.value("damper.x_r")
     assert area(0.0) == area(X_HOLE) == area(x_r - 1e-5) == CAP
-    assert area(x_r) == pytest.approx(CAP, rel=1e-5)
-    assert area(x_r + 1e-5) < CAP
+    assert area(x_r) == pytest.approx(CAP, rel=1e-5) and area(x_r + 1e-5) < CAP
     assert area(X_HOLE + 2.0 * R_HOLE) == area(0.0125) == 0.0
 
 
@@ -44,12 +45,9 @@ def test_outlet_is_capped_until_x_r_and_shut_past_the_holes() -> None:
 @pytest.mark.parametrize("force", [50.0, 200.0])
 def test_a_constant_force_reaches_the_steady_speed(model: str, force: float) -> None:
     changes = {
-        **FREE,
-        Parameters.f_external: force,
-        Parameters.stroke: 9.0,
-        Parameters.x_hole: 9.0,
+        **FREE, Parameters.f_external: force, Parameters.stroke: 9.0, Parameters.x_hole: 9.0,
         Parameters.v_oil: 5e-3,
-    }
+    }  # fmt: skip
     rig = Bare(FIXED, changes, damper=model)
     rig.advance(800 * MS)
 
@@ -110,6 +108,33 @@ def test_stiff_oil_approaches_the_incompressible_model() -> None:
             "fixed", 9e5, ((0.01, "1", 0.98),), load="damper", damper_model=model
         )
         stroke = simulate(parameters, conditions, np.array([0.0, 0.2]), internal=False)
-        assert stroke.impact is not None
         speeds.append(stroke.impact.speed_m_s)
     assert speeds[1] == pytest.approx(speeds[0], rel=2e-2)
+
+
+VALUES = parts.nominal()
+
+
+@pytest.mark.parametrize("system", [FIXED, LENGTH])
+def test_oil_pressure_of_a_known_motion_is_3_34_along_it(system: int) -> None:
+    p = pack(NOMINAL, system, supply_pressure_pa=9e5, atmosphere_pa=99000.0, load=Load())
+    position = np.linspace(0.0, 0.01285, 60)
+    velocity = 0.5 * np.cos(300.0 * position)
+    out = np.zeros(60)
+    steady_oil_pressure(position, velocity, p.array, out)
+    expected = [
+        99000.0 + parts.oil_pressure(x, v, VALUES) for x, v in zip(position, velocity, strict=True)
+    ]
+    assert out == pytest.approx(expected, rel=1e-9)
+    assert out[velocity < 0.0] == pytest.approx(99000.0)
+
+
+def test_the_damper_acts_away_from_neutral_on_either_side() -> None:
+    p = pack(NOMINAL, LENGTH, supply_pressure_pa=9e5, atmosphere_pa=101325.0, load=Load())
+    position = np.array([0.005, 0.005, -0.005, -0.005, 0.0, 0.0])
+    velocity = np.array([0.4, -0.4, 0.4, -0.4, 0.4, -0.4])
+    out = np.zeros(6)
+    steady_oil_pressure(position, velocity, p.array, out)
+    acting = out > 101326.0
+    assert acting.tolist() == [True, False, False, True, True, True]
+    assert out[0] == out[3] and out[4] == out[5]

@@ -44,6 +44,10 @@ class Bench:
         assert type(machine.in_process) is bool  # None would be sent as unknown
         return machine.state
 
+    def stays(self, state: ShiftState, steps: int, **changes: Any) -> None:
+        """Step a number of times, in a state that must not change."""
+        assert {self.step(**changes) for _ in range(steps)} == {state}
+
     def until(self, state: ShiftState, limit_ms: int = 5000) -> int:
         """Step every 10 ms until a state is there; return the ms that took."""
         start_ns = self.now_ns
@@ -62,10 +66,14 @@ class Bench:
         assert self.step(requested=target) is S.PUSH
         return self
 
+    def underway(self, target: Gear) -> Bench:
+        """Into a push for a target whose start has been left."""
+        self.pushing(target).step(gear=U, run=1)
+        return self
+
     def blowing(self, target: Gear) -> Bench:
         """Into the blow after a leg that ends in a target."""
-        self.pushing(target)
-        self.step(gear=U, run=1)
+        self.underway(target)
         assert self.step(gear=target, run=2) is S.BLOW
         return self
 

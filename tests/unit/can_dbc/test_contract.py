@@ -1,16 +1,22 @@
-"""Our reader of opc4.dbc against cantools, and what the contract promises."""
+"""Our reader of opc4.dbc against cantools, what the contract promises, the contract as C, and frames."""
 
 from __future__ import annotations
 
 import inspect
+import re
+from zlib import crc32
 
+import cantools
 import pytest
 from cantools.database.can import Database
+from hypothesis import given
+from hypothesis import strategies as st
 
 from can_dbc import codec, dbc, e2e
 from can_dbc import messages as m
+from can_dbc.c_header import header
 from can_dbc.contract import DBC_PATH, contract
-from can_dbc.frame import DP_BIT, EDP_BIT, split_id
+from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, J1939Id, checksum, join_id, split_id
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +29,7 @@ def test_reader_agrees_with_cantools(database: Database) -> None:
     assert contract() is ours, "read once"
     assert list(ours) == [x.name for x in database.messages]
     for spec, theirs in zip(ours.values(), database.messages, strict=True):
-        assert theirs.is_extended_frame
-        assert theirs.protocol == "j1939"
+        assert theirs.is_extended_frame and theirs.protocol == "j1939"
         assert (spec.name, spec.can_id, spec.length) == (
             theirs.name,
             theirs.frame_id,
@@ -88,18 +93,13 @@ def test_nodes_and_addresses(database: Database) -> None:
 @pytest.mark.parametrize(
     ("message_type", "can_id", "cycle_ms"),
     [
-        (m.ShiftRequest, 0x0CFF0005, 20),
-        (m.ValveCommand, 0x08FF1003, 10),
-        (m.SafetyBlow, 0x08FF1103, 10),
-        (m.PositionPulse, 0x0CFF2091, 10),
-        (m.DrivelineSpeeds, 0x0CFF2192, 10),
-        (m.ControllerStatus, 0x10FF3003, 10),
-        (m.Etc1, 0x0CF00203, 10),
-        (m.Etc2, 0x18F00503, 10),
-        (m.PlantMotion, 0x1CFF4090, 10),
-        (m.PlantPressures, 0x1CFF4190, 10),
+        (m.ShiftRequest, 0x0CFF0005, 20),     (m.ValveCommand, 0x08FF1003, 10),
+        (m.SafetyBlow, 0x08FF1103, 10),       (m.PositionPulse, 0x0CFF2091, 10),
+        (m.DrivelineSpeeds, 0x0CFF2192, 10),  (m.ControllerStatus, 0x10FF3003, 10),
+        (m.Etc1, 0x0CF00203, 10),             (m.Etc2, 0x18F00503, 10),
+        (m.PlantMotion, 0x1CFF4090, 10),      (m.PlantPressures, 0x1CFF4190, 10),
     ],
-)
+)  # fmt: skip
 def test_identifiers_and_cycles(message_type: type, can_id: int, cycle_ms: int) -> None:
     spec = codec.spec_of(message_type)
     assert spec.can_id == codec.can_id_of(message_type) == can_id
@@ -167,3 +167,88 @@ def test_lockstep_frames_stay_off_the_simulated_bus() -> None:
         page = spec.can_id & (EDP_BIT | DP_BIT)
         assert page == (0 if spec.name in on_the_bus else EDP_BIT | DP_BIT)
         assert (spec.cycle_ns > 0) == (spec.name in on_the_bus)
+
+
+def test_every_message_of_the_control_unit_has_the_identifier_of_the_dbc() -> None:
+    defined = {
+        n: int(i, 16) for n, i in re.findall(r"#define OPC4_(\w+)_ID 0x(\w{8})u\n", header())
+    }
+    wanted = {
+        re.sub(r"(?<!^)(?=[A-Z])", "_", message.name).upper(): message.frame_id
+        for message in cantools.database.load_file(DBC_PATH).messages
+        if "Opc4" in {*message.senders, *message.receivers} and "Lockstep" not in message.senders
+        if "Lockstep" not in message.receivers
+    }
+    assert defined == wanted
+
+
+def test_protected_messages_have_sixteen_data_ids() -> None:
+    tables = re.findall(
+        r"static const uint8_t opc4_(\w+)_data_ids\[16\] = \{ ([\d, ]+) \};", header()
+    )
+    assert {"shift_request", "valve_command"} <= {name for name, _ in tables}
+    assert all(len(ids.split(", ")) == 16 for _, ids in tables)
+
+
+@pytest.mark.parametrize(
+    ("can_id", "parts"),
+    [
+        (0x0CF00203, J1939Id(3, 61442, 3, 255)),  # ETC1 of a transmission
+        (0x18F00503, J1939Id(6, 61445, 3, 255)),  # ETC2
+        (0x0CF00400, J1939Id(3, 61444, 0, 255)),  # EEC1 of an engine
+        (0x0C000003, J1939Id(3, 0, 3, 0)),  # TSC1, destination engine
+        (0x18EAFF17, J1939Id(6, 59904, 0x17, 255)),  # request to all
+        (0x18EF3112, J1939Id(6, 61184, 0x12, 0x31)),  # proprietary A, PDU format 239
+        (0x1CFF4090, J1939Id(7, 0xFF40, 0x90, 255)),
+        (0x1FFF02F9, J1939Id(7, 0x3FF02, 0xF9, 255)),
+        (0, J1939Id(0, 0, 0, 0)),
+        (MAX_ID, J1939Id(7, 0x3FFFF, 255, 255)),
+    ],
+)
+def test_known_identifiers(can_id: int, parts: J1939Id) -> None:
+    assert split_id(can_id) == parts
+    assert join_id(*parts) == can_id
+
+
+def test_classic_frames_with_29_bits_and_at_most_8_bytes() -> None:
+    assert (MAX_ID, MAX_LENGTH) == (2**29 - 1, 8)
+
+
+def test_the_checksum_is_that_of_the_frame_as_linux_has_it() -> None:
+    whole = bytes.fromhex("9120ff8c 03000000 0102030000000000")  # flag of 29 bits in the identifier
+    assert checksum(0x0CFF2091, bytes([1, 2, 3])) == crc32(whole) & 0xFF
+    assert checksum(0x0CFF2091, bytes([1, 2, 4])) != checksum(0x0CFF2091, bytes([1, 2, 3]))
+
+
+def test_groups_without_a_destination_are_for_everybody() -> None:
+    assert join_id(6, 0xEA00, 0x17) == 0x18EAFF17
+
+
+@given(st.integers(0, MAX_ID))
+def test_join_inverts_split(can_id: int) -> None:
+    assert join_id(*split_id(can_id)) == can_id
+
+
+@pytest.mark.parametrize("can_id", [-1, MAX_ID + 1])
+def test_split_refuses_what_is_not_29_bits(can_id: int) -> None:
+    with pytest.raises(ValueError, match="29-bit"):
+        split_id(can_id)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (8, 0, 0, 0),
+        (-1, 0, 0, 0),
+        (0, 0x40000, 0, 0),
+        (0, -1, 0, 0),
+        (0, 0, 256, 0),
+        (0, 0, -1, 0),
+        (0, 0, 0, 256),
+        (0, 0, 0, -1),
+        (0, 1, 0, 0),  # a destination-specific group whose low byte is not 0
+    ],
+)
+def test_join_refuses_parts_that_do_not_fit(parts: tuple[int, int, int, int]) -> None:
+    with pytest.raises(ValueError, match=r"J1939|destination"):
+        join_id(*parts)

@@ -60,7 +60,6 @@ def test_encodings(encoding: str) -> None:
     text = GOOD.replace("Spinning", "Raddrehzahl für °C")
     database = parse_dbc(text.encode(encoding))
     comment = database.get_message_by_name("Speeds").get_signal_by_name("Left").comment
-    assert comment is not None
     assert comment.startswith("Raddrehzahl für °C")
 
 
@@ -82,53 +81,47 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (changed("BO_ 5 Speeds: 8 A", "BO_ 5 Speeds 8 A"), "x.dbc: line 4: column 14"),
-        (changed('1 "slow" ;', '1 "slow'), "x.dbc: line 16: column 25: "),
-        (changed("Speeds: 8 A", "Speeds: 1786 A"), "x.dbc: line 4: message Speeds has 1786 bytes"),
-        (changed("7|8@0+", "7|99999@0+"), "x.dbc: line 9: signal Load reaches bit 99999; expected"),
-        (changed("7|8@0+", "14281|8@0+"), "x.dbc: line 9: signal Load reaches bit 14281;"),
+        (changed("BO_ 5 Speeds: 8 A", "BO_ 5 Speeds 8 A"), "4: column 14"),
+        (changed('1 "slow" ;', '1 "slow'), "16: column 25: "),
+        (changed("Speeds: 8 A", "Speeds: 1786 A"), "4: message Speeds has 1786 bytes"),
+        (changed("7|8@0+", "7|99999@0+"), "9: signal Load reaches bit 99999; expected"),
+        (changed("7|8@0+", "14281|8@0+"), "9: signal Load reaches bit 14281;"),
         (
             changed("BO_ 2566844926 Engine", "BO_ 2566844926 Speeds"),
-            "x.dbc: line 8: message Speeds is declared twice",
+            "8: message Speeds is declared twice",
         ),
         (
             GOOD + "SG_MUL_VAL_ 5 Left Right 0-1,5-" + 40 * "9" + ";\n",
-            "x.dbc: line 17: multiplexer range 5-99999999999999999999; expected",
+            "17: multiplexer range 5-99999999999999999999; expected",
         ),
         (
             changed("(1,0) [0|0]", "(1e400,0) [0|0]"),
-            "x.dbc: line 8: signal Load of Engine: inf; expected a finite number",
+            "8: signal Load of Engine: inf; expected a finite number",
         ),
-        (
-            changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", "BO_ 5 1e400"),
-            "x.dbc: line ",
-        ),
+        (changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", "BO_ 5 1e400"), ""),
         (
             changed("BO_ 5 20", f"BO_ 5 1{400 * '0'}"),
-            f"x.dbc: line 4: message Speeds: cycle time '1{29 * '0'}'; expected 0 to 10^12",
+            f"4: message Speeds: cycle time '1{29 * '0'}'; expected 0 to 10^12",
         ),
         (
             changed("(1,0) [0|0]", f"(1,0) [0|1{400 * '0'}]"),
-            f"x.dbc: line 8: signal Load of Engine: 1{29 * '0'}; expected a finite number",
+            f"8: signal Load of Engine: 1{29 * '0'}; expected a finite number",
         ),
         (
             changed("INT -10 65535", "STRING").replace("BO_ 5 20", 'BO_ 5 "20"'),
-            "x.dbc: line 4: message Speeds: cycle time '20'; expected 0 to 10^12",
+            "4: message Speeds: cycle time '20'; expected 0 to 10^12",
         ),
-        (
-            GOOD.replace(" 5 ", " 4096 "),
-            "x.dbc: line 4: Standard frame id 0x1000 is more than 11 bits",
-        ),
-        (changed("16|16@1+", "8|16@1+"), "x.dbc: line 6: The signals Right and Left are overlap"),
+        (GOOD.replace(" 5 ", " 4096 "), "4: Standard frame id 0x1000 is more than 11 bits"),
+        (changed("16|16@1+", "8|16@1+"), "6: The signals Right and Left are overlap"),
         (
             changed("16|16@1+", "60|16@1+"),
-            "x.dbc: line 6: The signal Right does not fit in message Speeds; expected a DBC with",
+            "6: The signal Right does not fit in message Speeds; expected a DBC with",
         ),
-        (changed("16|16@1+", "16|0@1+"), "x.dbc: line 6: The signal Right length 0 is not great"),
+        (changed("16|16@1+", "16|0@1+"), "6: The signal Right length 0 is not great"),
     ],
 )
 def test_refusals(text: str, expected: str) -> None:
-    assert refusal(text).startswith(expected)
+    assert refusal(text).startswith(f"x.dbc: line {expected}")
 
 
 def test_cycle_times_may_have_fractions() -> None:
@@ -168,7 +161,6 @@ def test_texts_that_look_like_powers_of_ten_are_texts() -> None:
     part_number = 'BA_DEF_ "Part" STRING ;\nBA_DEF_DEF_ "Part" "";\nBA_ "Part" "12E3456789";\n'
     text = GOOD.replace("VAL_", part_number + "VAL_").replace('"Spinning', '"9e9999999"; CM_ "')
     database = parse_dbc(text.encode())
-    assert database.dbc is not None
     assert database.dbc.attributes["Part"].value == "12E3456789"
 
 

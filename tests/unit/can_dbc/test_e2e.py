@@ -143,8 +143,7 @@ def test_silence_makes_invalid_and_two_frames_in_sequence_valid_again() -> None:
     receiver = Receiver(m.ShiftRequest, CONFIG)
     receiver.receive(0, frame(0))
     receiver.receive(10 * MS, frame(1))
-    assert receiver.state(40 * MS) is V.VALID
-    assert receiver.state(40 * MS + 1) is V.INVALID
+    assert receiver.state(40 * MS) is V.VALID and receiver.state(40 * MS + 1) is V.INVALID
     assert receiver.receive(50 * MS, frame(5)) is S.WRONG_SEQUENCE
     assert receiver.state(50 * MS) is V.INVALID
     assert receiver.receive(60 * MS, frame(6)) is S.SYNC
@@ -152,8 +151,7 @@ def test_silence_makes_invalid_and_two_frames_in_sequence_valid_again() -> None:
     assert receiver.receive(70 * MS, frame(7)) is S.OK
     assert receiver.state(70 * MS) is V.INVALID
     assert receiver.receive(80 * MS, frame(8)) is S.OK
-    assert receiver.state(80 * MS) is V.VALID
-    assert receiver.state(110 * MS) is V.VALID
+    assert receiver.state(80 * MS) is V.VALID and receiver.state(110 * MS) is V.VALID
 
 
 def test_good_frames_from_before_a_silence_do_not_count_after_it() -> None:
@@ -173,8 +171,7 @@ def test_errors_and_repetitions_do_not_stop_the_timeout() -> None:
         receiver.receive(10 * MS, frame(1))
         for number in range(2, 5):
             receiver.receive(number * CYCLE, arrival)
-        assert receiver.state(40 * MS) is V.VALID
-        assert receiver.state(40 * MS + 1) is V.INVALID
+        assert receiver.state(40 * MS) is V.VALID and receiver.state(40 * MS + 1) is V.INVALID
 
 
 def test_frames_that_only_resynchronise_keep_nothing_alive() -> None:
@@ -187,22 +184,19 @@ def test_frames_that_only_resynchronise_keep_nothing_alive() -> None:
         counter += 8 if number % 2 == 0 else 1
         status = receiver.receive(number * CYCLE, frame(counter % 16))
         assert status is (S.WRONG_SEQUENCE if number % 2 == 0 else S.SYNC)
-    assert receiver.state(40 * MS) is V.VALID
-    assert receiver.state(40 * MS + 1) is V.INVALID
+    assert receiver.state(40 * MS) is V.VALID and receiver.state(40 * MS + 1) is V.INVALID
     assert receiver.message_ns == 10 * MS
 
 
 def test_a_channel_that_starts_with_jumps_is_not_valid_without_a_message() -> None:
     _, states, receiver = run([0, 8, 9, 0, 1])
     assert states == [V.INIT] * 5
-    assert receiver.status is S.SYNC
-    assert receiver.message is None
+    assert receiver.status is S.SYNC and receiver.message is None
 
 
 def test_a_channel_that_never_speaks_becomes_invalid() -> None:
     receiver = Receiver(m.ShiftRequest, CONFIG, start_ns=5 * MS)
-    assert receiver.state(35 * MS) is V.INIT
-    assert receiver.state(35 * MS + 1) is V.INVALID
+    assert receiver.state(35 * MS) is V.INIT and receiver.state(35 * MS + 1) is V.INVALID
     assert receiver.message is None
     receiver.receive(36 * MS, frame(0))
     receiver.receive(46 * MS, frame(1))
@@ -298,8 +292,7 @@ def test_contradicting_limits_are_refused(change: dict[str, int], expected: str)
 def test_with_counter_keeps_the_payload() -> None:
     first = Protector(m.ShiftRequest).protect(m.ShiftRequest(m.Gear.FORWARD))
     other = with_counter(m.ShiftRequest, first, 11)
-    assert other.data[1] == first.data[1] & 0xF0 | 11
-    assert other.data[2:] == first.data[2:]
+    assert other.data[1] == first.data[1] & 0xF0 | 11 and other.data[2:] == first.data[2:]
     assert with_counter(m.ShiftRequest, other, 0) == first
 
 

@@ -20,10 +20,10 @@ from can_dbc.messages import (
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
 from controller.settings import BlowConfig, FilterConfig, SensorConfig, ShiftConfig
-from tests.support.toy_actuator import MS, Rig, Row, Stay, asks, check_invariants, pulse_s
+from tests.support.toy_actuator import AT, MS, Rig, Row, Stay, asks, check_invariants, pulse_s
 
 GEARS = list(Gear)
-WANTED_M = {Gear.NEUTRAL: 0.0, Gear.BACKWARD: 0.01285, Gear.FORWARD: -0.01285, Gear.UNKNOWN: 0.0}
+WANTED_M = {**AT, Gear.UNKNOWN: 0.0}
 PLACES_M: list[float | None] = [0.0, 0.01285, -0.01285, 0.002, 0.006, -0.006, 0.0115, -0.0115, 0.02]
 
 CONFIGS = st.builds(
@@ -66,29 +66,10 @@ SCENES = st.lists(
     max_size=25,
 )
 Scene = tuple[
-    int,
-    float | None,
-    float,
-    Gear,
-    tuple[float, float] | None,
-    E2eState,
-    E2eState,
-    E2eState,
-    int,
+    int, float | None, float, Gear, tuple[float, float] | None, E2eState, E2eState, E2eState, int
 ]
 
-
-WAKE: Scene = (
-    20,
-    None,
-    0.0,
-    Gear.NEUTRAL,
-    None,
-    E2eState.VALID,
-    E2eState.VALID,
-    E2eState.VALID,
-    1,
-)
+WAKE: Scene = (20, None, 0.0, Gear.NEUTRAL, None, E2eState.VALID, E2eState.VALID, E2eState.VALID, 1)
 
 
 def play(config: FirmwareConfig, scenes: list[Scene]) -> list[Row]:
@@ -187,11 +168,10 @@ def check_truth(rig: Rig) -> None:
     """What is reported as confirmed is so, whatever one fault of the sensor there is."""
     rig.run(2200)
     check_invariants(rig.rows)
-    true_m = {Gear.NEUTRAL: 0.0, Gear.BACKWARD: 0.01285, Gear.FORWARD: -0.01285}
     for row in rig.rows:
         confirmed = row.out.status.confirmed
         if confirmed is not Gear.UNKNOWN:
-            assert abs(row.position_m - true_m[confirmed]) <= 0.0026
+            assert abs(row.position_m - AT[confirmed]) <= 0.0026
 
 
 @given(rig=troubled())

@@ -29,8 +29,7 @@ def test_valve_acts_after_its_delay_and_a_short_command_never() -> None:
     valve.command(0.0, True)
     assert [valve.at(t) for t in (0.0, 0.0075, 0.008)] == [False, False, True]
     valve.command(0.01, False)
-    assert valve.at(0.0449)
-    assert not valve.at(0.0451)
+    assert valve.at(0.0449) and not valve.at(0.0451)
     valve.command(0.05, True)
     valve.command(0.057, False)
     assert not valve.at(0.2)
@@ -96,8 +95,7 @@ def test_a_closed_loop_of_pressures_ends_at_supply_and_atmosphere() -> None:
     motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     for _ in range(4000):
         model.step(motion, True, False, STEP_S)
-    assert motion.stay_m == STROKE_M
-    assert motion.piston_m == GAP_M + STROKE_M
+    assert motion.stay_m == STROKE_M and motion.piston_m == GAP_M + STROKE_M
     assert motion.stay_m_s == motion.piston_m_s == 0.0
     assert motion.driving_pa == pytest.approx(9e5, rel=1e-3)
     assert motion.braking_pa == pytest.approx(ATMOSPHERE_PA, rel=1e-3)

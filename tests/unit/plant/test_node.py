@@ -126,7 +126,6 @@ def lab() -> Run:
     return Run(PlantConfig(), SHIFT_TO_B, 400)
 
 
-# --- the motion ------------------------------------------------------------------------------
 def test_shift_by_frames_is_the_reference_stroke(lab: Run) -> None:
     """Arrival and impact speed of an independent solver, counted from the command's arrival."""
     (arrived, values), *_ = lab.named("stay_stop")
@@ -163,7 +162,6 @@ def test_all_four_shifts(initial: str, command: ValveCommand, end_m: float) -> N
     assert run.named("balance")[0][1]["closed"] == 1.0
 
 
-# --- schedule ----------------------------------------------------------------------------------
 def test_frames_leave_on_a_static_schedule(lab: Run) -> None:
     for message_type in (PositionPulse, DrivelineSpeeds, PlantMotion, PlantPressures):
         times = [t for t, _ in lab.of(message_type)]
@@ -199,7 +197,6 @@ def test_protected_frames_pass_their_receivers(lab: Run) -> None:
         assert set(statuses[1:]) == {E2eStatus.OK}
 
 
-# --- what the frames tell -----------------------------------------------------------------------
 def test_pulse_tells_the_position_at_the_middle_of_the_pulse() -> None:
     config = PlantConfig(trace_period_s=0.00005, sensor=SensorConfig(coil_temperature_k=313.15))
     run = Run(config, SHIFT_TO_B, 150)
@@ -233,8 +230,7 @@ def test_truth_frames_tell_the_state_at_their_release(lab: Run) -> None:
     for row, (_, motion), (_, pressures) in zip(
         states, lab.of(PlantMotion), lab.of(PlantPressures), strict=True
     ):
-        assert isinstance(motion, PlantMotion)
-        assert isinstance(pressures, PlantPressures)
+        assert isinstance(motion, PlantMotion) and isinstance(pressures, PlantPressures)
         assert motion.position_m == pytest.approx(row[0], abs=0.6e-6)
         assert motion.velocity_m_s == pytest.approx(row[1], abs=0.3e-3)
         assert motion.piston_1_m == pytest.approx(row[2], abs=0.6e-6)
@@ -249,7 +245,6 @@ def test_a_sensor_fault_reaches_the_bus() -> None:
     assert faulty == plain[:5] + plain[5::4]
 
 
-# --- driver, valves and loads ---------------------------------------------------------------------
 def test_dead_controller_closes_the_valve_at_the_stated_instant() -> None:
     config = PlantConfig(valve_driver=ValveDriverConfig(timeout_s=0.03))
     run = Run(config, [(0, OFF), (40, INTO_B)], 250, last_tick_ms=70)
@@ -265,8 +260,7 @@ def test_still_charged_chamber_vents_after_its_valve_has_closed() -> None:
     assert run.instants("valve_N_close") == [("valve_N_close", pytest.approx(0.035, abs=1e-12))]
     pressure = run.rows["pressure_N_pa"]
     assert np.all(pressure[:36] == pytest.approx(900_000.0, rel=1e-9))
-    assert pressure[40] < 880_000.0
-    assert pressure[300] < 110_000.0
+    assert pressure[40] < 880_000.0 and pressure[300] < 110_000.0
     assert run.rows["valve_N"][[0, 34, 35]].tolist() == [1.0, 1.0, 0.0]
 
 
@@ -343,7 +337,6 @@ def test_oil_pressure_is_recorded(damper: str) -> None:
     assert np.all(Run(PlantConfig(), SHIFT_TO_B, 20).rows["pressure_oil2_pa"] == 101_325.0)
 
 
-# --- records ---------------------------------------------------------------------------------
 def test_trace_rows_are_regular_and_show_what_changed_at_their_instant(lab: Run) -> None:
     np.testing.assert_array_equal(lab.rows["time_s"], np.arange(401) / 1000)
     config = PlantConfig(trace_period_s=0.0001)
@@ -365,8 +358,7 @@ def test_events_are_reported_in_order_and_the_balance_once(lab: Run) -> None:
     lab.node.close()
     ((at, balance),) = lab.named("balance")
     assert at == 0.4
-    assert balance["closed"] == 1.0
-    assert balance["air_in_kg"] == pytest.approx(9.8e-4, rel=0.02)
+    assert balance["closed"] == 1.0 and balance["air_in_kg"] == pytest.approx(9.8e-4, rel=0.02)
 
 
 def test_without_sinks_nothing_else_changes(lab: Run) -> None:
@@ -401,8 +393,7 @@ def test_same_inputs_same_bits() -> None:
         driveline=DrivelineConfig(residual_rad_s=6.0),
     )
     first, again = Run(config, SHIFT_TO_B, 300), Run(config, SHIFT_TO_B, 300)
-    assert first.released == again.released
-    assert first.events == again.events
+    assert first.released == again.released and first.events == again.events
     for one, other in zip(first.rows.blocks, again.rows.blocks, strict=True):
         assert one.tobytes() == other.tobytes()
     other_seed = Run(msgspec.structs.replace(config, seed=6), SHIFT_TO_B, 300)

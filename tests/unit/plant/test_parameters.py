@@ -34,15 +34,12 @@ def test_every_parameter_has_bounds_and_its_shipped_value_lies_within(path: str)
 @pytest.mark.parametrize(
     ("path", "value"),
     [
-        ("length.m_s", -0.9),
-        ("friction_length.F_rf_s", -1.0),
-        ("gas.gamma", 0.9),
-        ("alpha.alpha_m1", 1e9),
-        ("stops.restitution", 1.5),
-        ("gas.T", -20.0),
+        ("length.m_s", -0.9),             ("friction_length.F_rf_s", -1.0),
+        ("gas.gamma", 0.9),               ("alpha.alpha_m1", 1e9),
+        ("stops.restitution", 1.5),       ("gas.T", -20.0),
         ("valve.D_rise", -0.001),
     ],
-)
+)  # fmt: skip
 def test_what_no_actuator_has_is_refused(tmp_path, path: str, value: float) -> None:
     with pytest.raises(InputError, match=re.escape(f"{path}: {value:g}; expected ")):
         NOMINAL.override({path: value})

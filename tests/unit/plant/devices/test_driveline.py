@@ -83,8 +83,7 @@ def test_speeds_converge_in_proportion_to_the_spent_impulse(
     driveline.advance(50 * MS, -X_BLOCK, impulse, FORWARD)
     assert driveline.input_rad_s == driveline.output_rad_s
     driveline.advance(60 * MS, -0.007, impulse, FORWARD)
-    assert driveline.is_engaged
-    assert driveline.input_rad_s == driveline.output_rad_s
+    assert driveline.is_engaged and driveline.input_rad_s == driveline.output_rad_s
 
 
 def test_stated_impulse_of_each_gear_and_the_difference_it_implies() -> None:

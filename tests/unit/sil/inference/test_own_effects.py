@@ -11,7 +11,7 @@ from plant.effects.user_file import _LOADED, load_effects
 from plant.parameters import load
 from sil.inference.campaign.diagnosis import diagnose
 from sil.inference.campaign.page import write_report
-from tests.physics.test_proportional_valve import proportional
+from tests.physics.test_cylinder import proportional
 from tests.support.cylinder_model import model
 from tests.support.made_campaign import made
 
