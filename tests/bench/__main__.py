@@ -5,20 +5,36 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import sys
+from types import ModuleType
 
 import tests.bench
+
+SUPPORT = {
+    "hidden_effects": "hidden_study",
+    "instruments": "instruments",
+    "next_experiment": "next_strokes",
+    "replay": "replay_cost",
+    "truck_logs": "truck_logs",
+}
+"""Measurements that tests use too: their module in tests/support."""
 
 HOURS = ("hidden_effects", "instruments", "second_cylinder", "soak", "truck_logs", "truck_sets")
 
 
+def module(name: str) -> ModuleType:
+    """The module of a measurement."""
+    place = f"support.{SUPPORT[name]}" if name in SUPPORT else f"bench.{name}"
+    return importlib.import_module(f"tests.{place}")
+
+
 def main(wanted: list[str]) -> int:
     """Run measurements by the name of their module; each has `measure() -> lines of text`."""
-    known = sorted(item.name for item in pkgutil.iter_modules(tests.bench.__path__))
-    known = [name for name in known if not name.startswith("_")]
+    names = {item.name for item in pkgutil.iter_modules(tests.bench.__path__)}
+    known = sorted(name for name in {*names, *SUPPORT} if not name.startswith("_"))
     if {"-h", "--help"} & set(wanted):
         print("usage: python -m tests.bench [NAME...]    (no name: all that take minutes)")
         for name in known:
-            text = importlib.import_module(f"tests.bench.{name}").__doc__ or ""
+            text = module(name).__doc__ or ""
             print(f"  {name:16} {text.split(chr(10), 1)[0]}{'  (hours)' if name in HOURS else ''}")
         return 0
     for name in wanted:
@@ -30,7 +46,7 @@ def main(wanted: list[str]) -> int:
             return 2
     for name in wanted or [name for name in known if name not in HOURS]:
         print(f"## {name}")
-        for line in importlib.import_module(f"tests.bench.{name}").measure():
+        for line in module(name).measure():
             print(line, flush=True)
         print()
     return 0

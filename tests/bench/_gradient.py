@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.bench._contest import best_s
-from tests.bench._piston import Floats
+from tests.bench._contest import Floats, best_s
 
 TIMES = np.linspace(0.0, 0.3, 301)
 REFERENCE_SHARE = 3e-5
 
 
 def measure() -> Iterator[str]:
-    """Lines of the table."""
     from plant.batch.batch import BATCH_TOLERANCE, Strokes, simulate_batch
     from plant.batch.prediction import MOVE, Followers, Predictor
     from plant.effects.stroke_conditions import StrokeConditions

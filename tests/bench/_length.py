@@ -7,8 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tests.bench._contest import OUR_SETTINGS, SCIPY_SETTINGS, best_s, cheapest, one_by_one, row
-from tests.bench._piston import Floats, Shown
+from tests.bench._contest import (
+    OUR_SETTINGS,
+    SCIPY_SETTINGS,
+    Floats,
+    Shown,
+    best_s,
+    cheapest,
+    one_by_one,
+    row,
+)
 
 KINDS = ("N-B", "B-N", "N-F", "F-N")
 SUPPLIES_PA = (9e5, 7e5)

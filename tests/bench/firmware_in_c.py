@@ -111,9 +111,7 @@ def branches() -> Iterator[str]:
         (folder / "opc4.h").write_text(header())
         (folder / "driver.c").write_text(DRIVER)
         subprocess.run(
-            ["gcc", "--coverage", "-O0", "-o", "driver", "driver.c", "-lm"],
-            cwd=folder,
-            check=True,
+            ["gcc", "--coverage", "-O0", "-o", "driver", "driver.c", "-lm"], cwd=folder, check=True
         )
         for number in range(COVERED):
             rng = random.Random(f"inputs {number}")
@@ -125,11 +123,7 @@ def branches() -> Iterator[str]:
             (folder / "steps").write_bytes(b"".join(content_of_run))
             subprocess.run([folder / "driver", folder / "steps"], check=True)
         told = subprocess.run(
-            ["gcov", "-b", "driver.gcda"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=True,
+            ["gcov", "-b", "driver.gcda"], cwd=folder, capture_output=True, text=True, check=True
         ).stdout
         for file, taken in re.findall(
             r"File '(\w+\.[hc])'\n.*\n.*\nTaken at least once:(.*)\n", told
@@ -163,22 +157,13 @@ def missed(source: Path) -> Iterator[str]:
 
 
 def measure() -> Iterator[str]:
-    """Lines of the tables."""
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / "opc4.wasm"
         plain.write_bytes(compiled(SHIPPED_IN_C))
-        for title, firmware in (
-            ("Python", ""),
-            ("wasm plain", str(plain)),
-            ("wasm plain and sanitised", "c"),
-        ):
-            yield f"{title:26} {speed(firmware)}"
-        for title, firmware in (
-            ("Python", ""),
-            ("wasm plain", str(plain)),
-            ("wasm plain and sanitised", "c"),
-        ):
-            yield f"{title:26} {saved(firmware)}"
+        firmwares = {"Python": "", "wasm plain": str(plain), "wasm plain and sanitised": "c"}
+        for figures in (speed, saved):
+            for title, firmware in firmwares.items():
+                yield f"{title:26} {figures(firmware)}"
     yield from branches()
     begin = time.perf_counter()
     for number in range(DRAWN):

@@ -14,8 +14,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.bench._contest import OUR_SETTINGS, SCIPY_SETTINGS, best_s, cheapest, one_by_one, row
-from tests.bench._piston import Floats, Piston, Shown, solve_with_scipy
+from tests.bench._contest import (
+    OUR_SETTINGS,
+    SCIPY_SETTINGS,
+    Floats,
+    Piston,
+    Shown,
+    best_s,
+    cheapest,
+    one_by_one,
+    row,
+    solve_with_scipy,
+)
 
 END_S = 0.25
 OPENING_S = 0.018
@@ -25,8 +35,7 @@ BATCH = 10_000
 
 
 def measure() -> Iterator[str]:
-    """Lines of the tables."""
-    from tests.bench import _cold, _gradient, _length, _scaling
+    from tests.bench import _gradient, _length, _machine
 
     yield from fixed_strokes()
     yield ""
@@ -34,9 +43,9 @@ def measure() -> Iterator[str]:
     yield ""
     yield from _gradient.measure()
     yield ""
-    yield from _scaling.measure()
+    yield from _machine.two_cores()
     yield ""
-    yield from _cold.measure()
+    yield from _machine.first_start()
 
 
 def fixed_strokes() -> Iterator[str]:

@@ -27,10 +27,7 @@ def measure() -> Iterator[str]:
         alone.append(1e3 * (time.perf_counter() - begin))
     with tempfile.TemporaryDirectory() as folder, started(Path(folder) / "profile") as browser:
         live = Live(Path(folder))
-        page = Page(
-            browser,
-            f"{live.address}#%7B%22scenario%22%3A%22{NAME}%22%7D",
-        )
+        page = Page(browser, f"{live.address}#%7B%22scenario%22%3A%22{NAME}%22%7D")
         page.wait(page.drawn)
         for move in range(MOVES + 5):
             page.after(lambda move=move: page.slide("valve.D_fall", 20 + move))  # type: ignore[misc]

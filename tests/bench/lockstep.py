@@ -1,8 +1,7 @@
 """Lockstep turns a second over each transport, compared with the floor under it.
 
-Floor of one process: the plant alone, advanced over the same grants.  Floor of the local bus: a
-sleeping ping-pong of two processes over a Unix seqpacket socket, as many turns, as many bytes.
-Floor of a CAN interface: the same ping-pong in CAN frames, as many as the run's turns need.
+Floors: the plant alone, advanced over the same grants; a ping-pong of two processes over a Unix
+seqpacket socket, as many turns and bytes; the same in CAN frames.
 """
 
 from __future__ import annotations

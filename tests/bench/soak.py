@@ -1,11 +1,8 @@
 """A soak: hours in lockstep, minutes in real time, the memory of every process over time.
 
 `python -m tests.bench.soak [--hours H] [--minutes M] [--out DIR]`. One shift every ten seconds,
-through all gears. Eight simulated hours took 17 minutes, so a day should take about 50, a sixth of
-them to judge it, and 8 GB of disk.
-
-Memory does not grow while a run is simulated. Judging it reads the run from disk minute by minute;
-what grows then is what result.json holds of each shift, some 2 KiB.
+through all gears: a day takes about 50 minutes and 8 GB of disk. Memory may grow only while a run is
+judged, by what result.json holds of each shift, some 2 KiB.
 """
 
 from __future__ import annotations

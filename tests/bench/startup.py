@@ -23,7 +23,6 @@ def wall_s(command: Sequence[str]) -> float:
 
 
 def measure() -> Iterator[str]:
-    """Lines of the table."""
     bare = wall_s([sys.executable, "-c", "pass"])
     opc4 = [sys.executable, "-m", "sil.cli"]
     yield f"bare interpreter {1e3 * bare:6.0f} ms"

@@ -9,7 +9,6 @@ from tests.support.step_cost import cost
 
 
 def measure() -> Iterator[str]:
-    """Lines of the table."""
     yield "strategy       median us   worst us   operations a step at most"
     for name in NAMES:
         median_us, worst_us, counted = cost(name)

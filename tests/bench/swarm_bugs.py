@@ -172,7 +172,6 @@ def rate(shipped: Path) -> float:
 
 
 def measure() -> Iterator[str]:
-    """Lines of the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         shipped = folder / "shipped.wasm"

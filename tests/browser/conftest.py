@@ -12,9 +12,9 @@ from selenium import webdriver
 
 from plant.parameters import Parameter, ParameterSet, load
 from sil.cli import main
+from tests.support.force_rig import rig
 from tests.support.made_campaign import made
 from tests.support.truck_synthesis import DRIVE, Truck, write_log
-from tests.unit.sil.inference.force.test_diagnosis import rig
 
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking",

@@ -44,6 +44,7 @@ PLANS: tuple[tuple[str, str, bool, tuple[float, ...]], ...] = (
 )
 DRIVING = {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}
 LATE = ("1", "N", "B")
+CASES = {"none": 0.25, "one": 0.40, "two": 0.12, "foreign": 0.15, "small": 0.08}
 SPRING_N_M, SPRING_START_M = 25000.0, 0.004258279
 
 
@@ -70,6 +71,26 @@ def hide(names: tuple[str, ...], level: str, seed: int) -> Hidden:
         change.update(effects.draw(name, level, rng))
     rows = {**effects.SIZES, **effects.FOREIGN}
     return Hidden(names, tuple(rows[name][0] for name in names), level, change)
+
+
+def drawn(number: int) -> tuple[str, Hidden]:
+    """Kind of case and what is hidden in the campaign of that number."""
+    first_seed = 2007
+    rng = np.random.default_rng([first_seed, number])
+    case = str(rng.choice(list(CASES), p=list(CASES.values())))
+    level = "small" if case == "small" else str(rng.choice(("easy", "medium")))
+    named = list(effects.SIZES)
+    if case == "none":
+        names: tuple[str, ...] = ()
+    elif case == "foreign":
+        names = (str(rng.choice(list(effects.FOREIGN))),)
+    elif case == "two":
+        first = str(rng.choice(named))
+        others = [n for n in named if effects.SIZES[n][0] != effects.SIZES[first][0]]
+        names = (first, str(rng.choice(others)))
+    else:
+        names = (str(rng.choice(named)),)
+    return case, hide(names, level, number + first_seed)
 
 
 def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> Path:

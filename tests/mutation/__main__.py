@@ -18,18 +18,21 @@ from types import FunctionType
 import pytest
 
 from tests.mutation.mutants import PACKAGES, ROOT, Mutant, dependants, modules, mutants
-from tests.mutation.reach import TESTS, Reach, reach, test_files
 from tests.mutation.running import (
     BROKEN,
     KILLED,
     SURVIVED,
+    TESTS,
+    Reach,
     children_s,
     functions_of,
     in_fork,
     killed,
     limit_examples,
     loaded_anew,
+    reach,
     swapped,
+    test_files,
 )
 
 LISTED = Path(__file__).with_name("survivors.toml")

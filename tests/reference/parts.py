@@ -155,9 +155,7 @@ def barrier(peak: float, u: float) -> float:
 
 
 def valve_switches(
-    commands: Sequence[tuple[float, str, float]],
-    charged: Sequence[str],
-    values: Values,
+    commands: Sequence[tuple[float, str, float]], charged: Sequence[str], values: Values
 ) -> list[tuple[float, str, float]]:
     """(instant s, valve, 1 or 0) after the delays; a command reversed in time is cancelled."""
     out = []

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from sil.log_replay.recorded_frames import Arrival, RecordedFrames
-from sil.logs import LogFrame, open_log, open_writer
+from sil.logs import LogFrame, LogReader, open_log, open_writer
 from tests.conftest import ROOT
 
 GOLDEN = ROOT / "tests" / "golden"
@@ -23,8 +24,14 @@ def arrivals(name: str) -> list[Arrival]:
     return list(RecordedFrames(open_log(golden(name))))
 
 
-def write(path: Path, log: list[LogFrame]) -> Path:
+def write(path: Path, log: Iterable[LogFrame]) -> Path:
     with open_writer(path) as writer:
         for frame in log:
             writer.write(frame)
     return path
+
+
+def log_of(path: Path, content: str | bytes) -> LogReader:
+    """A log with this content."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return open_log(path)

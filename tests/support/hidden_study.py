@@ -88,8 +88,7 @@ def one(number: int, folder: Path) -> Row | str:
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.inference.campaign.diagnosis import diagnose
-    from tests.hidden_effects.campaign import write_campaign
-    from tests.hidden_effects.draws import drawn
+    from tests.hidden_effects.campaign import drawn, write_campaign
 
     case, hidden = drawn(number)
     try:
@@ -119,7 +118,7 @@ def read_rows(path: Path) -> list[Row]:
 
 def measure() -> Iterator[str]:
     """Run what is missing, then print the tables."""
-    from tests.hidden_effects.draws import drawn
+    from tests.hidden_effects.campaign import drawn
 
     folder = Path(os.environ.get("OPC4_STUDY", "runs/hidden_effects"))
     count = int(os.environ.get("OPC4_STUDY_CAMPAIGNS", "200"))

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sil.logs import LogFrame, open_writer
+from sil.logs import LogFrame
+from tests.support.golden_logs import write
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
@@ -160,10 +161,7 @@ def changed(
 
 def write_log(path: Path, frames: Iterable[LogFrame]) -> Path:
     """Write a log in the format of the path's suffix."""
-    with open_writer(path) as writer:
-        for frame in sorted(frames, key=lambda frame: frame.time_ns):
-            writer.write(frame)
-    return path
+    return write(path, sorted(frames, key=lambda frame: frame.time_ns))
 
 
 __all__ = ["DRIVE", "MadeShift", "Truck", "changed", "replace", "without", "write_log"]

@@ -1,7 +1,9 @@
-"""Output folders: numbered, marked, locked."""
+"""Files of an output folder: whole or not at all, and refused where others live."""
 
 from __future__ import annotations
 
+import io
+import json
 import os
 import shutil
 import signal
@@ -14,8 +16,8 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil import cli
-from sil.files import output_folder
-from sil.files.atomic import write_atomically
+from sil.files import extras, output_folder, progress
+from sil.files.atomic import open_atomically, write_atomically
 from sil.files.output_folder import close_folders, locked_folder, prepare_folder, reopen_folder
 from tests.conftest import ROOT
 
@@ -235,3 +237,116 @@ def test_commands_refuse_a_folder_in_use(
         lines = capsys.readouterr().err.splitlines()
         first.communicate()
     assert len(lines) == 1 and "another run is writing here" in lines[0]
+
+
+def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
+    target = tmp_path / "result.json"
+    write_atomically(target, "old")
+    with pytest.raises(KeyboardInterrupt), open_atomically(target) as file:
+        file.write(b"new")
+        raise KeyboardInterrupt
+    assert target.read_text() == "old"
+    write_atomically(target, "new")
+    assert target.read_text() == "new" and os.listdir(tmp_path) == ["result.json"]
+
+
+def test_a_name_that_is_not_utf8_is_written_as_json_escapes_it(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "a.json", '"\udcff.py"')
+    assert json.loads((tmp_path / "a.json").read_text()) == "\udcff.py"
+
+
+def test_two_writers_of_one_file_do_not_mix(tmp_path: Path) -> None:
+    """A process that writes the same file meanwhile replaces it as a whole."""
+    target = tmp_path / "out.fmu"
+    with open_atomically(target) as file:
+        file.write(b"first " * 1000)
+        pid = os.fork()
+        if pid == 0:
+            write_atomically(target, "second")
+            os._exit(0)
+        os.waitpid(pid, 0)
+        assert target.read_text() == "second"
+    assert target.read_bytes() == b"first " * 1000 and os.listdir(tmp_path) == ["out.fmu"]
+
+
+def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as error:
+        write_atomically(tmp_path / "none" / "file", "")
+    assert error.value.filename == str(tmp_path / "none" / "file")
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress, "_silent", False)  # whatever command has run here with --quiet
+    return now
+
+
+def shown(clock: list[float], stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setattr(sys, "stderr", stream)
+    with progress.Progress("rows") as report:
+        for second in range(30):
+            clock[0] = 100.0 + second
+            report(second, 40)
+    return stream.getvalue()
+
+
+def test_a_line_after_two_seconds_and_then_every_ten(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = shown(clock, io.StringIO(), monkeypatch).splitlines()
+    assert lines == [
+        "rows: 5 % (2 of 40), 1/s, 38 s left",
+        "rows: 30 % (12 of 40), 1/s, 28 s left",
+        "rows: 55 % (22 of 40), 1/s, 18 s left",
+    ]
+
+
+def test_a_bar_on_a_terminal_that_is_removed_at_the_end(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = shown(clock, Terminal(), monkeypatch)
+    bars = text.split("\r")
+    assert "\n" not in text and len(bars) == 31
+    assert bars[-3].startswith("[######################........] rows: 72 %") and bars[-1] == ""
+
+
+def test_none_of_quick_work_and_none_when_silent(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with progress.Progress("rows") as report:
+        report(1, 2)
+    assert stream.getvalue() == ""
+    progress.silence()
+    assert shown(clock, io.StringIO(), monkeypatch) == ""
+
+
+def test_a_present_library_is_imported() -> None:
+    assert extras.import_extra("json", "mdf", "log.mf4: MF4").dumps([]) == "[]"
+
+
+def test_in_a_clone_the_command_installs_the_clone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(extras.ROOT)
+    monkeypatch.setattr("sys.executable", str(extras.ROOT / ".venv" / "bin" / "python"))
+    expected = (
+        "log.mf4: MF4 needs no_such_module, which is not installed; expected it after: "
+        ".venv/bin/python -m pip install -e '.[mdf]'"
+    )
+    with pytest.raises(InputError) as caught:
+        extras.import_extra("no_such_module", "mdf", "log.mf4: MF4")
+    assert str(caught.value) == expected
+
+
+def test_elsewhere_the_command_installs_the_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extras, "ROOT", tmp_path)
+    assert extras.install_command("fmpy", "fmu").endswith(" -m pip install fmpy")

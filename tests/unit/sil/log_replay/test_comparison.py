@@ -1,8 +1,16 @@
-"""Both sides compared tick by tick: first difference, edges, states, warming up, tolerance in time."""
+"""Both sides compared tick by tick: signals, tolerances, first difference, edges, excerpts."""
 
 from __future__ import annotations
 
+from functools import cache
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from can_dbc.codec import encode
+from can_dbc.errors import InputError
 from can_dbc.messages import (
     Chamber,
     ControllerStatus,
@@ -13,7 +21,88 @@ from can_dbc.messages import (
     ValveCommand,
 )
 from sil.log_replay.comparison import Comparison
-from sil.log_replay.signals import Options
+from sil.log_replay.edges import Edge, Matching, SwitchingSignal, match, match_edges, shift_text
+from sil.log_replay.excerpts import Excerpt, ExcerptRecorder, Row, waveforms
+from sil.log_replay.signals import Options, SignalComparer, load_options, same, value_text, values
+
+
+def status(estimate_m: float, state: ShiftState = ShiftState.IDLE) -> tuple[object, ...]:
+    message = ControllerStatus(state, Gear.NEUTRAL, estimate_m, Fault.NONE)
+    found = values(ControllerStatus, encode(message).data)
+    assert found is not None
+    return found
+
+
+def test_numbers_are_the_same_within_their_tolerance_only() -> None:
+    assert same(1.0, 1.0, 0.0) and not same(1.0, 1.0 + 1e-12, 0.0)
+    assert same(0.3, 0.1 + 0.2, 1e-9) and same(1.0, 1.5, 0.5) and not same(1.0, 1.51, 0.5)
+    assert not same(None, 1.0, 10.0) and same(None, None, 0.0)
+
+
+def test_ignored_and_tolerated_signals_do_not_differ() -> None:
+    ours, theirs = status(0.001), status(0.002, ShiftState.PUSH)
+    names = [
+        name for _, name in SignalComparer(Options()).differing(ControllerStatus, ours, theirs)
+    ]
+    assert names == ["ControllerStatus.state", "ControllerStatus.estimate_m"]
+    some = SignalComparer(Options(ignore=["*.estimate_m"]))
+    assert [n for _, n in some.differing(ControllerStatus, ours, theirs)] == [
+        "ControllerStatus.state"
+    ]
+    lenient = Options(ignore=["*.state"], tolerance={"ControllerStatus.estimate_m": 0.001})
+    assert SignalComparer(lenient).differing(ControllerStatus, ours, theirs) == []
+
+
+def test_values_outside_the_contract_are_none() -> None:
+    assert values(ControllerStatus, bytes(8)) is None  # unused bits are ones
+
+
+def test_options_from_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "o.toml"
+    file.write_text(
+        'ignore = ["Etc1.*"]\ntime_s = 0.01\n[tolerance]\n"ControllerStatus.estimate_m" = 1e-5\n'
+        "[edges]\nwindow_s = 0.1\n"
+    )
+    options = load_options(file)
+    assert options.time_s == 0.01 and options.edges.window_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('ignore = ["Etc9.*"]', "ignore: Etc9"),
+        ('ignored = ["Etc1.*"]', "ignored: unknown"),
+        (
+            '[tolerance]\n"ControllerStatus.estimat_m" = 1.0',
+            "expected one of ControllerStatus.estimate_m",
+        ),
+        ('[tolerance]\n"ControllerStatus.estimate_m" = -1.0', "tolerance"),
+        ('[tolerance]\n"ControllerStatus.estimate_m" = nan', "finite"),
+        ("time_s = 'x'", "time_s"),
+        ("[edges", "expected TOML"),
+    ],
+)
+def test_options_that_are_none_are_refused_by_name(
+    tmp_path: Path, text: str, complaint: str
+) -> None:
+    file = tmp_path / "o.toml"
+    file.write_text(text)
+    with pytest.raises(InputError) as refused:
+        load_options(file)
+    assert complaint in str(refused.value) and str(file) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_values_as_a_reader_wants_them() -> None:
+    assert value_text(Fault.NONE) == "NONE"
+    assert value_text(Fault.POSITION_LOST | Fault.SPEEDS_LOST) == "POSITION_LOST|SPEEDS_LOST"
+    assert (value_text(None), value_text(True), value_text(0.98), value_text(Gear.FORWARD)) == (
+        "not available",
+        "yes",
+        "0.98",
+        "FORWARD",
+    )
+
 
 TICK = 10_000_000
 
@@ -108,3 +197,177 @@ def test_a_silent_side_stands_with_what_it_sent_last() -> None:
     idle, on = tick(), tick(0.98, ShiftState.PUSH)
     found = compared([(idle, idle), ({}, on), (on, {}), (on, on)])
     assert not found.differs and found.ticks == 3
+
+
+MS = 1_000_000
+WINDOW = 50 * MS
+
+
+def pulses(*spans_ms: tuple[float, float]) -> list[Edge]:
+    return [
+        Edge(round(t * MS), up)
+        for span in spans_ms
+        for t, up in zip(span, (True, False), strict=True)
+    ]
+
+
+def test_equal_edges_are_matched_one_to_one() -> None:
+    edges = pulses((100, 300), (900, 950))
+    assert match(edges, list(edges), WINDOW) == Matching([(i, i) for i in range(4)], [], [])
+    assert match([], [], WINDOW) == Matching([], [], [])
+
+
+@pytest.mark.parametrize("shift_ms", [-50, -30, 10, 50])
+def test_shifted_edges_keep_their_partners(shift_ms: int) -> None:
+    recorded = pulses((100, 300), (900, 1200))
+    replayed = [Edge(e.time_ns + shift_ms * MS, e.up) for e in recorded]
+    assert match(recorded, replayed, WINDOW) == Matching([(i, i) for i in range(4)], [], [])
+
+
+def test_an_edge_beyond_the_window_is_another_edge() -> None:
+    recorded, replayed = pulses((100, 300)), pulses((100, 351))
+    assert match(recorded, replayed, WINDOW) == Matching([(0, 0)], [1], [1])
+    assert match(recorded, pulses((100, 350)), WINDOW) == Matching([(0, 0), (1, 1)], [], [])
+
+
+def test_a_dropped_pulse_leaves_the_others_matched() -> None:
+    recorded = pulses((100, 120), (200, 220), (300, 320))
+    replayed = pulses((101, 121), (302, 322))
+    assert match(recorded, replayed, WINDOW) == Matching(
+        [(0, 0), (1, 1), (4, 2), (5, 3)], [2, 3], []
+    )
+
+
+def test_an_added_pulse_leaves_the_others_matched() -> None:
+    recorded = pulses((100, 120), (300, 320))
+    replayed = pulses((100, 120), (200, 220), (300, 320))
+    assert match(recorded, replayed, WINDOW) == Matching(
+        [(0, 0), (1, 1), (2, 4), (3, 5)], [], [2, 3]
+    )
+
+
+def test_of_chattering_edges_the_nearest_ones_are_matched() -> None:
+    recorded = pulses((100, 200))
+    replayed = pulses((92, 94), (96, 98), (101, 200))
+    assert match(recorded, replayed, WINDOW) == Matching([(0, 4), (1, 5)], [], [0, 1, 2, 3])
+
+
+def test_chatter_on_both_sides_is_matched_edge_by_edge() -> None:
+    recorded = pulses(*((10 * k, 10 * k + 5) for k in range(50)))
+    replayed = [Edge(e.time_ns + 2 * MS, e.up) for e in recorded]
+    assert match(recorded, replayed, WINDOW).pairs == [(i, i) for i in range(100)]
+    without = replayed[:40] + replayed[42:]  # one pulse of the chatter is missing
+    found = match(recorded, without, WINDOW)
+    assert found.dropped == [40, 41] and not found.added
+
+
+def test_edges_of_opposite_direction_are_never_one() -> None:
+    assert match([Edge(0, True)], [Edge(0, False)], WINDOW) == Matching([], [0], [0])
+
+
+SERIES = st.lists(st.tuples(st.integers(0, 120), st.booleans()), max_size=7).map(
+    lambda items: [Edge(t, up) for t, up in sorted(items)]
+)
+
+
+@given(SERIES, SERIES, st.sampled_from([0, 5, 20, 60]))
+def test_no_other_matching_costs_less(a: list[Edge], b: list[Edge], window: int) -> None:
+    found = match(a, b, window)
+
+    @cache
+    def least(i: int, j: int) -> int:
+        if i == len(a) or j == len(b):
+            return (len(a) - i + len(b) - j) * window
+        best = min(least(i + 1, j), least(i, j + 1)) + window
+        apart = abs(a[i].time_ns - b[j].time_ns)
+        if a[i].up is b[j].up and apart <= window:
+            best = min(best, least(i + 1, j + 1) + 2 * apart)
+        return best
+
+    assert sorted([i for i, _ in found.pairs] + found.dropped) == list(range(len(a)))
+    assert sorted([j for _, j in found.pairs] + found.added) == list(range(len(b)))
+    assert found.pairs == sorted(found.pairs) and len({j for _, j in found.pairs}) == len(
+        found.pairs
+    )
+    cost = sum(2 * abs(a[i].time_ns - b[j].time_ns) for i, j in found.pairs)
+    assert cost + window * (len(found.dropped) + len(found.added)) == least(0, 0)
+
+
+def test_shifts_are_reported_in_samples_and_ms_with_how_often() -> None:
+    signal = SwitchingSignal("valve B", "opens", "closes")
+    for k in range(14):
+        late = 30 * MS if k in (3, 9) else 0
+        signal.take(0, 1000 * MS * k, True)
+        signal.take(1, 1000 * MS * k + late, True)
+        signal.take(0, 1000 * MS * k + 400 * MS, False)
+        signal.take(1, 1000 * MS * k + 400 * MS, False)
+    result = match_edges(signal, 200 * MS)
+    assert result.lines(10 * MS) == ["valve B opens 3 samples (30 ms) later, twice out of 14"]
+
+
+def test_a_lane_notes_changes_only_and_tells_what_is_gone_or_new() -> None:
+    signal = SwitchingSignal("valve N", "opens", "closes")
+    assert not signal.take(0, 0, False)
+    assert signal.take(0, 10 * MS, True) and not signal.take(0, 20 * MS, True)
+    signal.take(0, 30 * MS, False)
+    assert match_edges(signal, WINDOW).lines(10 * MS, base_ns=1000 * MS) == [
+        "valve N opens in the recording only, at 1.010000 s",
+        "valve N closes in the recording only, at 1.030000 s",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("shift_ms", "reported"),
+    [(30, "3 samples (30 ms) later"), (-10, "1 sample (10 ms) earlier"), (12.5, "12.5 ms later")],
+)
+def test_a_shift_that_is_no_whole_sample_is_reported_in_ms(shift_ms: float, reported: str) -> None:
+    assert shift_text(round(shift_ms * MS), 10 * MS) == reported
+
+
+COLUMN = 10_000_000
+
+
+def row(k: int, a: bool, b: bool, states: tuple[str, str] = ("IDLE", "IDLE")) -> Row:
+    return Row(k * COLUMN, ((a, False, False), (b, False, False)), states, (0.0, 0.0))
+
+
+def test_a_scene_has_what_came_before_and_after() -> None:
+    scenes = ExcerptRecorder()
+    for k in range(200):
+        scenes.take(row(k, k >= 100, k >= 100), changed=k == 100, differs=False)
+    (scene,) = scenes.excerpts
+    assert (scene.rows[0].time_ns, scene.rows[-1].time_ns) == (92 * COLUMN, 116 * COLUMN)
+    assert not scene.differs
+
+
+def test_only_so_many_and_so_long_scenes_are_kept() -> None:
+    scenes = ExcerptRecorder()
+    for k in range(4_000):  # a difference and an edge in turn, every half second
+        scenes.take(row(k, False, k % 100 < 5), changed=k % 100 == 50, differs=k % 100 < 5)
+    assert sum(s.differs for s in scenes.excerpts) == 6
+    assert sum(not s.differs for s in scenes.excerpts) == 3
+    always = ExcerptRecorder()
+    for k in range(50_000):
+        always.take(row(k, False, True), changed=False, differs=True)
+    assert len(always.excerpts) == 6
+    assert all(len(s.rows) <= 1000 for s in always.excerpts)
+    assert always.excerpts[0].rows[-1].time_ns <= 1_500_000_000 + COLUMN
+
+
+def test_waveforms_show_both_sides_and_mark_what_differs() -> None:
+    on = [False, True, True, True, False, False]
+    off = [False, True, False, False, False, False]
+    states = (
+        [("IDLE", "IDLE")] + [("PUSH", "PUSH")] + [("PUSH", "HOLD")] * 2 + [("IDLE", "IDLE")] * 2
+    )
+    rows = [row(k, *x) for k, x in enumerate(zip(on, off, states, strict=True))]
+    assert waveforms(Excerpt(rows, True), ("recorded", "replayed"), 5 * COLUMN) == [
+        "from 0.050000 s, 10 ms per column",
+        "valve B   recorded _###__",
+        "          replayed _#____",
+        "                     ^^",
+        "state     recorded ||PU|I",
+        "          replayed |||H|I",
+        "                     ^^",
+        "",
+    ]

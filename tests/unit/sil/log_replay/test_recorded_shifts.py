@@ -25,6 +25,7 @@ from sil.log_replay.recorded_shifts import (
     shifts_of,
 )
 from sil.logs import open_log, open_writer
+from tests.support.golden_logs import write
 from tests.support.truck_logs import truck_log
 
 MAP = """
@@ -156,10 +157,8 @@ def test_a_log_without_speeds_has_shifts_of_unknown_difference(
 
 
 def test_two_buses_in_one_log_are_refused(nominal_log: Path, tmp_path: Path) -> None:
-    mixed = tmp_path / "mixed.log"
-    with open_writer(str(mixed)) as writer:
-        for number, frame in enumerate(open_log(str(nominal_log))):
-            writer.write(frame._replace(channel=f"can{number % 2}"))
+    log = enumerate(open_log(str(nominal_log)))
+    mixed = write(tmp_path / "mixed.log", (f._replace(channel=f"can{n % 2}") for n, f in log))
     with pytest.raises(InputError, match=r"on channels can. and can.; expected one bus"):
         cut(mixed)
 

@@ -1,24 +1,38 @@
-"""Our firmware and plant in place of the truck's: inputs, physics and repeatability."""
+"""Our firmware and plant in place of the truck's; page, statistics and the summary."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from sil import cli
 from sil.files.overrides import NO_SETTINGS, Settings
 from sil.j1939.mapping import SignalMapping
+from sil.log_replay import report
+from sil.log_replay.figures import shift_figure
 from sil.log_replay.truck_log import TruckLog
 from sil.log_replay.truck_loop import Input, OurShift, inputs_of, side, simulate, why_not
-from sil.log_replay.truck_replay import ComparedShift, truck_verdict
+from sil.log_replay.truck_replay import (
+    ComparedShift,
+    TruckReplay,
+    quicker,
+    replay_truck,
+    statistics,
+    truck_verdict,
+)
 from sil.log_replay.truck_shift import RecordedShift, recorded_shift
-from sil.logs import LogFrame
+from sil.logs import LogFrame, open_logs
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
-from tests.support.truck_synthesis import MadeShift, Truck, replace, without
+from tests.support.golden_logs import write
+from tests.support.j1939_logs import with_engine
+from tests.support.truck_synthesis import DRIVE, MadeShift, Truck, replace, without, write_log
 
 MAPPING = SignalMapping()
 SHIFT = MadeShift(3_000, 3, 4, fall_from_ms=300, fall_to_ms=700)
@@ -172,3 +186,117 @@ def test_our_own_bus_read_as_a_truck_s_gives_our_own_times() -> None:
     confirmed = run.shifts[0].confirmed_s
     assert confirmed is not None and found.times_s["engaged"] is not None
     assert found.request_ns / 1e9 + found.times_s["engaged"] == pytest.approx(confirmed, abs=0.015)
+
+
+@pytest.fixture(scope="module")
+def replay(tmp_path_factory: pytest.TempPathFactory) -> TruckReplay:
+    log = write_log(tmp_path_factory.mktemp("log") / "truck.log", Truck().frames())
+    found = replay_truck(open_logs([log]), settings={"controller.shift.wait_for_sync": True})
+    assert found is not None and len(found.shifts) == len(DRIVE)
+    return found
+
+
+def test_statistics_are_over_the_shifts(replay: TruckReplay) -> None:
+    rows = {row["figure"]: row for row in statistics(replay)}
+    recorded, ours, changed = rows["request to new gear"]["columns"]
+    times = sorted(shift.recorded.times_s["engaged"] or 0.0 for shift in replay.shifts)
+    assert recorded["shifts"] == 3 and recorded["median"] == times[1]
+    assert times[1] < recorded["p95"] <= times[2]
+    assert ours["median"] < recorded["median"] and ours["median"] < changed["median"]
+    assert rows["impact speed"]["columns"][0] == {"shifts": 0, "median": None, "p95": None}
+    for column in (0, 1):
+        assert sum(quicker(replay, column)) == 3
+
+
+def test_the_verdict_says_why_and_by_how_much(replay: TruckReplay) -> None:
+    second = replay.shifts[1]
+    first, *reasons = truck_verdict(second)
+    theirs, mine = second.recorded.times_s["engaged"], second.ours[0].times_s["engaged"]
+    assert theirs is not None and mine is not None
+    assert first.startswith(f"{theirs - mine:.3f} s quicker: {mine:.3f} s against {theirs:.3f} s")
+    assert any("our cone takes the last" in line for line in reasons)
+    assert any(line.startswith("harder: ") for line in reasons)
+    waiting = truck_verdict(second, 1)
+    assert any(line.startswith("as soft: ") for line in waiting)
+
+
+def test_the_page_has_a_picture_per_shift_up_to_a_number(
+    replay: TruckReplay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def empty(figure: object, folder: Path, name: str) -> bytes:
+        (folder / f"{name}.png").touch()
+        return bytes(64)
+
+    monkeypatch.setattr(report, "save", empty)
+    values = report.truck_dict(replay)
+    page = report.truck_page(replay, values, "opc4 replay truck.log", tmp_path, max_pictures=2)
+    assert page.count("<img") == 3
+    assert "Pictures of 1 further shifts" in page
+    assert {f"shift_{n}.png" for n in (1, 2, 3)} <= {path.name for path in tmp_path.iterdir()}
+    assert "What-if: controller.shift.wait_for_sync=true" in page
+    assert page.count("<details>") == 3 and "http" not in page.replace("http://www.w3.org", "")
+    for row in values["statistics"]:
+        assert row["figure"] in page
+
+
+def test_the_figure_shows_both_sides(replay: TruckReplay) -> None:
+    figure = shift_figure(replay, replay.shifts[1])
+    panels = {panel.title: panel for panel in figure.stacks[0].panels}
+    speeds = panels["Speed difference at the synchronizer"]
+    assert [line.label for line in speeds.series] == ["recorded", "ours", "what-if"]
+    assert [name for _, name in panels["Phases"].ticks] == ["recorded", "ours", "what-if"]
+    lanes = {span.low for span in panels["Phases"].spans}
+    assert len(lanes) == 3
+    assert len(panels["Our stay"].series) == 2
+
+
+def test_a_folder_with_page_pictures_and_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = with_engine()
+    half = len(frames) // 2
+    one, two = (write(tmp_path / "1.log", frames[:half]), write(tmp_path / "2.log", frames[half:]))
+    out = tmp_path / "out"
+    assert cli.main(["replay", str(two), str(one), "--summary", "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "3 shifts in" in text and "engine torque 60 %" in text and "after a gap of" in text
+    names = {path.name for path in out.iterdir()}
+    assert {"report.html", "summary.json", "shifts.png", "shift_1.png", "shift_3.svg"} <= names
+    values = json.loads((out / "summary.json").read_text())
+    assert values["shifts"][1]["engine"]["torque_least_percent"] == -5
+    assert len(values["log_report"]["files"]) == 2
+    assert "1 to 2" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_selection_leaves_shifts_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write(tmp_path / "1.log", with_engine())
+    assert cli.main(["replay", str(log), "--summary", "--json", "--until", "7"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["shifts"]) == 2
+
+
+def test_a_log_without_times_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [f"can0  {f.can_id:08X}   [8]  {f.data.hex(' ').upper()}\n" for f in with_engine()]
+    (tmp_path / "screen.log").write_text("".join(lines))
+    assert cli.main(["replay", str(tmp_path / "screen.log"), "--summary"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "has no times, so that no shift time is known" in line
+
+
+def test_notes_of_the_log_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write(tmp_path / "1.blf", with_engine())
+    assert cli.main(["replay", str(log), "--summary"]) == 0
+    assert "log: the start in the header names no time zone" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words", [["--set", "a=3"], ["--closed-loop"], ["--strategy", "x"], ["--map", "m.toml"]]
+)
+def test_options_of_a_replay_are_refused(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write(tmp_path / "1.log", with_engine())
+    assert cli.main(["replay", str(log), "--summary", *words]) == 2
+    assert capsys.readouterr().err == (
+        f"opc4 replay: {words[0]}: not together with --summary, which replays nothing; expected one "
+        "of them\n"
+    )

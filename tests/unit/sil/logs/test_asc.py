@@ -15,6 +15,7 @@ from sil.logs.asc import parse_event
 from sil.logs.format import ZONE_NOTE, NotAFrame
 from sil.logs.frame import frame_problem
 from sil.logs.times import utc_ns
+from tests.support.golden_logs import log_of, write
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 
@@ -23,30 +24,17 @@ def test_a_torn_log_of_all_kinds() -> None:
     reader = open_log(DATA / "torn.asc")
     frames = list(reader)
     rx = LogFrame(0, 0, channel="1", direction="Rx")
-    tx = rx._replace(direction="Tx")
+    standard = rx._replace(direction="Tx", extended=False)
+    fd, eight = rx._replace(fd=True, channel="2"), bytes.fromhex("55AA010203040506")
     assert frames == [
-        tx._replace(time_ns=1_100_000_000, can_id=0x180, data=b"\x6a" + bytes(7), extended=False),
-        tx._replace(
-            time_ns=1_100_001_000,
-            can_id=0x3FF,
-            data=bytes.fromhex("55AA010203040506"),
-            extended=False,
-            raw_dlc=13,
-        ),
+        standard._replace(time_ns=1_100_000_000, can_id=0x180, data=b"\x6a" + bytes(7)),
+        standard._replace(time_ns=1_100_001_000, can_id=0x3FF, data=eight, raw_dlc=13),
         rx._replace(time_ns=1_100_002_000, can_id=0x123, remote=True, raw_dlc=8),
         LogFrame(1_100_003_000, 0, b"", False, error=True, channel="2"),
-        rx._replace(
-            time_ns=1_100_007_000,
-            can_id=0x300,
-            data=bytes(range(1, 13)),
-            extended=False,
-            fd=True,
-            brs=True,
-            channel="2",
+        fd._replace(
+            time_ns=1_100_007_000, can_id=0x300, data=bytes(range(1, 13)), extended=False, brs=True
         ),
-        tx._replace(
-            time_ns=1_100_008_000, can_id=0x50005, remote=True, fd=True, raw_dlc=5, channel="2"
-        ),
+        fd._replace(time_ns=1_100_008_000, can_id=0x50005, remote=True, raw_dlc=5, direction="Tx"),
         LogFrame(1_100_009_000, 0, b"", False, error=True, fd=True, channel="5", direction="Tx"),
     ]
     report = reader.report
@@ -176,9 +164,9 @@ class TestUnterminated:
         ],
     )
     def test_kept(self, line: str, kept: bool, tmp_path: Path) -> None:
-        path = tmp_path / "log.asc"
-        path.write_text(f"base hex  timestamps absolute\n0.5 1 ErrorFrame\n{line}")
-        reader = open_log(path)
+        reader = log_of(
+            tmp_path / "log.asc", f"base hex  timestamps absolute\n0.5 1 ErrorFrame\n{line}"
+        )
         assert len(list(reader)) == 1 + kept
         assert reader.report.truncated is not kept
 
@@ -186,9 +174,7 @@ class TestUnterminated:
 def test_absolute_times_come_back_through_the_origin(tmp_path: Path) -> None:
     path = tmp_path / "log.asc"
     times_ns = [1_700_000_000_123_456_789, 1_700_000_000_123_000_000, 1_700_000_001_000_000_000]
-    with open_writer(path) as writer:
-        for time_ns in times_ns:
-            writer.write(LogFrame(time_ns, 1, b"", channel="1", direction="Rx"))
+    write(path, [LogFrame(time_ns, 1, b"", channel="1", direction="Rx") for time_ns in times_ns])
     text = path.read_text()
     assert text.startswith("date Tue Nov 14 22:13:20.123 2023\nbase hex  timestamps absolute\n")
     assert "// time origin 1700000000.123000000 s\n" in text
@@ -198,8 +184,7 @@ def test_absolute_times_come_back_through_the_origin(tmp_path: Path) -> None:
 
 def test_relative_times_get_no_invented_date(tmp_path: Path) -> None:
     path = tmp_path / "log.asc"
-    with open_writer(path) as writer:
-        writer.write(LogFrame(1_000_000, 1, b"", channel="1", direction="Rx"))
+    write(path, [LogFrame(1_000_000, 1, b"", channel="1", direction="Rx")])
     assert "1970" not in path.read_text()
     reader = open_log(path)
     assert [f.time_ns for f in reader] == [1_000_000]

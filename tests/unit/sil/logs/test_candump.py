@@ -13,6 +13,7 @@ from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.candump import FORMAT, look_like_deltas, parse_line, plain_frames
 from sil.logs.format import NotAFrame
 from sil.logs.frame import frame_problem
+from tests.support.golden_logs import log_of, write
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 START_S = 1_436_509_052
@@ -54,23 +55,12 @@ FORMS: dict[str, tuple[str, list[LogFrame]]] = {
     "candump_nanoseconds.log": (
         "relative",
         [
-            LogFrame(
-                1, 0x0CF00203, bytes.fromhex("CC0000FFF00000FF"), direction="Rx", channel="can0"
-            ),
-            LogFrame(
-                10_000_001,
-                0x0CF00203,
-                bytes.fromhex("DC0000FFF00000FF"),
-                direction="Tx",
-                channel="can0",
-            ),
-            LogFrame(
-                20_000_002,
-                0x18F00503,
-                bytes.fromhex("7D00007D4E204E43"),
-                direction="Rx",
-                channel="can0",
-            ),
+            LogFrame(time_ns, can_id, bytes.fromhex(data), direction=way, channel="can0")
+            for time_ns, can_id, data, way in (
+                (1, 0x0CF00203, "CC0000FFF00000FF", "Rx"),
+                (10_000_001, 0x0CF00203, "DC0000FFF00000FF", "Tx"),
+                (20_000_002, 0x18F00503, "7D00007D4E204E43", "Rx"),
+            )
         ],
     ),
     "screen_absolute.txt": ("absolute", [f._replace(channel="vcan0") for f in SCREEN]),
@@ -274,9 +264,7 @@ def test_differences_that_add_up_to_no_time_are_refused(tmp_path: Path) -> None:
 
 
 def test_lines_of_the_other_kind_are_left_out(tmp_path: Path) -> None:
-    path = tmp_path / "log.txt"
-    path.write_text("can0 123#11\n(1.0) can0 123#12\ncan0 123#13\n")
-    reader = open_log(path)
+    reader = log_of(tmp_path / "log.txt", "can0 123#11\n(1.0) can0 123#12\ncan0 123#13\n")
     assert [f.data for f in reader] == [b"\x11", b"\x13"]
     assert reader.report.skipped == 1
 
@@ -301,13 +289,12 @@ class TestUnterminated:
         ],
     )
     def test_kept(self, before: str, last: str, kept: bool, tmp_path: Path) -> None:
-        path = tmp_path / "log.log"
-        path.write_text(
+        reader = log_of(
+            tmp_path / "log.log",
             f"(0.1) can0 7FF#1122334455667788\n{before}{last}".replace(
                 "788\n", "788 R\n" if " R\n" in before else "788\n"
-            )
+            ),
         )
-        reader = open_log(path)
         found = [f.can_id for f in reader if f.time_ns == 10**9]
         assert found == ([0x123] if kept else [])
         assert reader.report.truncated is not kept
@@ -370,12 +357,10 @@ def test_common_lines_are_read_by_columns(
 
 def test_decimals_as_the_log_needs(tmp_path: Path) -> None:
     path = tmp_path / "log.log"
-    with open_writer(path) as writer:
-        writer.write(LogFrame(1_000, 1, b"", False, channel="can0"))
+    first = LogFrame(1_000, 1, b"", False, channel="can0")
+    write(path, [first])
     assert path.read_text() == "(0000000000.000001) can0 001#\n"
-    with open_writer(path) as writer:
-        writer.write(LogFrame(1_000, 1, b"", False, channel="can0"))
-        writer.write(LogFrame(1_001, 1, b"", False, channel="can0", direction="Tx"))
+    write(path, [first, first._replace(time_ns=1_001, direction="Tx")])
     assert path.read_text() == (
         "(0000000000.000001000) can0 001#\n(0000000000.000001001) can0 001# T\n"
     )
@@ -389,9 +374,7 @@ def test_a_negative_time_is_refused(tmp_path: Path) -> None:
 
 def test_numbered_channels_count_from_can0(tmp_path: Path) -> None:
     path = tmp_path / "log.log"
-    with open_writer(path) as writer:
-        for channel in ("1", "2", "", "vcan3"):
-            writer.write(LogFrame(0, 1, b"", channel=channel))
+    write(path, [LogFrame(0, 1, b"", channel=channel) for channel in ("1", "2", "", "vcan3")])
     assert [f.channel for f in open_log(path)] == ["can0", "can1", "can0", "vcan3"]
 
 

@@ -1,20 +1,168 @@
-"""MF4: files as loggers and asammdf leave them, and every block broken."""
+"""MF4: logs as loggers and asammdf leave them, every block broken; tables of signals."""
 
 from __future__ import annotations
 
+import gzip
+import importlib
 import random
 import struct
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.traces import holds_signals_only
-from tests.unit.sil.logs.mf4_builder import DATA_FRAME, Field, Mf4Builder, logger_file, signal_file
+from plant.trace import TRACE_COLUMNS
+from sil.logs import LogFrame, convert, open_log, open_writer
+from sil.logs.traces import comment_of, holds_signals_only, is_trace_csv
+from sil.recording.trace_csv import FIRST_COLUMNS, FROM_STATUS
+from tests.support.golden_logs import write
+
+
+class Field(NamedTuple):
+    """A channel of a record: name, first byte, first bit, bits, MDF data and channel type."""
+
+    name: str
+    byte: int
+    bit: int
+    bits: int
+    data_type: int = 0
+    kind: int = 0
+    conversion: tuple[int, tuple[float, ...]] | None = None
+
+
+class Mf4Builder:
+    """Collects blocks and hands out their addresses; links are filled in as they become known."""
+
+    def __init__(self, *, finished: bool) -> None:
+        mark = b"MDF     " if finished else b"UnFinMF "
+        flags = 0 if finished else 0b100101
+        self.blob = bytearray(mark + b"4.11    tests   ".ljust(20, b"\x00"))
+        self.blob += struct.pack("<H", 411).ljust(60 - len(self.blob), b"\x00")
+        self.blob += struct.pack("<HH", flags, 0)
+        assert len(self.blob) == 64
+
+    def block(self, kind: bytes, links: Sequence[int], body: bytes = b"") -> int:
+        """Append a block and return its address."""
+        self.blob += bytes(-len(self.blob) % 8)
+        address = len(self.blob)
+        length = 24 + 8 * len(links) + len(body)
+        self.blob += struct.pack("<4sIQQ", b"##" + kind, 0, length, len(links))
+        self.blob += struct.pack(f"<{len(links)}Q", *links) + body
+        return address
+
+    def link(self, address: int, index: int, target: int) -> None:
+        """Set a link of a block."""
+        struct.pack_into("<Q", self.blob, address + 24 + 8 * index, target)
+
+    def channels(self, fields: Sequence[Field], data_link: int = 0) -> int:
+        """A chain of channels; fields named `X.y` go into the structure X before them."""
+        first = 0
+        last: dict[str, tuple[int, int]] = {}
+        for field in fields:
+            conversion = 0
+            if field.conversion is not None:
+                kind, values = field.conversion
+                body = struct.pack("<BBHHHdd", kind, 0, 0, 0, len(values), 0, 0)
+                body += struct.pack(f"<{len(values)}d", *values)
+                conversion = self.block(b"CC", [0, 0, 0, 0], body)
+            data = data_link if field.kind == 1 else 0
+            name = self.block(b"TX", [], field.name.encode() + b"\0")
+            links = [0, 0, name, 0, conversion, data, 0, 0]
+            sync = 1 if field.kind in (2, 3) else 0
+            body = struct.pack(
+                "<BBBBIIIIBBHdddddd",
+                *(field.kind, sync, field.data_type, field.bit, field.byte, field.bits),
+                *(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0),
+            )
+            address = self.block(b"CN", links, body)
+            parent = field.name.rpartition(".")[0]
+            previous, index = last.get(parent, (0, 0))
+            if previous:
+                self.link(previous, index, address)
+            last[parent] = address, 0
+            last.setdefault(field.name, (address, 1))
+            first = first or address
+        return first
+
+    def group(
+        self, record_id: int, first_channel: int, size: int, cycles: int = 0, flags: int = 6
+    ) -> int:
+        """A CG block."""
+        body = struct.pack("<QQHHIII", record_id, cycles, flags, 0, 0, size, 0)
+        return self.block(b"CG", [0, first_channel, 0, 0, 0, 0], body)
+
+    def data_group(self, first_group: int, data: int, id_size: int) -> int:
+        """A DG block."""
+        return self.block(b"DG", [0, first_group, data, 0], struct.pack("<B7x", id_size))
+
+
+DATA_FRAME = (
+    Field("Timestamp", 0, 0, 64, 4, 2, (1, (0.0, 1e-9))),
+    Field("CAN_DataFrame", 8, 0, 112, 10),
+    Field("CAN_DataFrame.BusChannel", 8, 1, 2),
+    Field("CAN_DataFrame.ID", 8, 3, 29),
+    Field("CAN_DataFrame.IDE", 8, 0, 1),
+    Field("CAN_DataFrame.DLC", 13, 4, 4),
+    Field("CAN_DataFrame.DataLength", 12, 1, 7),
+    Field("CAN_DataFrame.DataBytes", 14, 0, 64, 10, 1),
+    Field("CAN_DataFrame.Dir", 12, 0, 1),
+    Field("CAN_DataFrame.EDL", 13, 0, 1),
+)
+ERROR_FRAME = (
+    DATA_FRAME[0],
+    Field("CAN_ErrorFrame", 8, 0, 8, 10),
+    Field("CAN_ErrorFrame.BusChannel", 8, 0, 2),
+)
+
+
+def logger_file(
+    frames: Sequence[tuple[int, int, bytes]], start_ns: int, *, error_at: Sequence[int] = ()
+) -> bytes:
+    """An unsorted, unfinished file: numbered records, data in a group of its own, as CANedge does.
+
+    frames: nanoseconds from the start, identifier, data. error_at: times of error frames.
+    """
+    build = Mf4Builder(finished=False)
+    header = build.block(
+        b"HD", [0] * 6, struct.pack("<QhhBBBB", start_ns, 0, 0, 0, 0, 0, 0) + bytes(16)
+    )
+    assert header == 64
+    values = build.group(2, 0, 0, flags=1)
+    data = build.group(1, build.channels(DATA_FRAME, values), 22)
+    error = build.group(3, build.channels(ERROR_FRAME), 9)
+    build.link(data, 0, values)
+    build.link(values, 0, error)
+    data_group = build.data_group(data, 0, 1)
+    build.link(64, 0, data_group)
+    records = bytearray()
+    offset = 0
+    events = [(t, i, d) for t, i, d in frames] + [(t, None, b"") for t in error_at]
+    for time_ns, can_id, payload in sorted(events, key=lambda event: event[0]):
+        if can_id is None:
+            records += b"\x03" + struct.pack("<dB", float(time_ns), 1)
+            continue
+        word, size = can_id << 3 | 0b011, len(payload)  # channel 1, extended; received
+        records += b"\x01" + struct.pack("<dIBBQ", time_ns, word, size << 1, size << 4, offset)
+        records += b"\x02" + struct.pack("<I", len(payload)) + payload
+        offset += 4 + len(payload)
+    build.link(data_group, 2, build.block(b"DT", []))
+    build.blob += records
+    return bytes(build.blob)
+
+
+def signal_file() -> bytes:
+    """A finished file with one group of a decoded signal and no frames."""
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, bytes(32))
+    fields = (Field("time", 0, 0, 64, 4, 2), Field("engine_speed", 8, 0, 64, 4))
+    group = build.group(0, build.channels(fields), 16, cycles=2, flags=0)
+    data = build.block(b"DT", [], struct.pack("<4d", 0.0, 1.0, 0.1, 2.0))
+    build.link(64, 0, build.data_group(group, data, 0))
+    return bytes(build.blob)
+
 
 START_NS = 1_700_000_000 * 10**9
 Events = Sequence[tuple[int, int, bytes]]
@@ -152,9 +300,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[LogFrame], byt
             frame = frame._replace(remote=True, data=b"")
         frames.append(frame._replace(channel="1", direction="Rx"))
     path = tmp_path_factory.mktemp("large") / "log.mf4"
-    with open_writer(path) as writer:
-        for frame in frames:
-            writer.write(frame)
+    write(path, frames)
     return frames, path.read_bytes()
 
 
@@ -165,3 +311,110 @@ def test_frames_of_different_kinds_at_one_instant_keep_their_order(
     found, report = read(content, tmp_path, strict=True)
     assert found == frames
     assert report.clean
+
+
+DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
+
+
+def test_a_trace_becomes_mf4_with_units(tmp_path: Path) -> None:
+    asammdf = importlib.import_module("asammdf")
+    target = tmp_path / "trace.mf4"
+    report = convert(DATA / "signals.csv", target)
+    assert report.signals is not None
+    assert report.signals.rows == report.written == 2
+    assert report.signals.names == ("position_m", "pressure_B_pa", "cmd_B")
+    assert report.lines()[0].startswith(f"{target}: 2 rows of 3 signals")
+    with asammdf.MDF(target) as measurement:
+        pressure = measurement.get("pressure_B_pa")
+        assert list(pressure.samples) == [101325.0, 101400.0]
+        assert list(pressure.timestamps) == [0.0, 0.001]
+        assert pressure.unit == "Pa"
+        assert pressure.comment == "pressure of chamber B, absolute"
+        assert measurement.get("position_m").unit == "m"
+        assert measurement.header.abs_time == 0
+
+
+def test_every_signal_of_a_run_has_a_comment() -> None:
+    assert comment_of("something_else_m") == ""
+    columns = {*FIRST_COLUMNS, *TRACE_COLUMNS, *FROM_STATUS} - {"time_s"}
+    assert [name for name in sorted(columns) if not comment_of(name)] == []
+
+
+def test_a_long_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
+    source, middle, target = (tmp_path / f"{n}" for n in ("a.csv", "b.mf4", "c.csv"))
+    rows = [(i * 1e-4, i / 3.0, -(i**0.5)) for i in range(40_000)]
+    text = "time_s,position_m,impulse_n_s\n" + "".join(
+        ",".join(repr(float(value)) for value in row) + "\n" for row in rows
+    )
+    source.write_text(text)
+    convert(source, middle)
+    report = convert(middle, target)
+    assert target.read_text() == text
+    assert report.signals is not None
+    assert report.signals.units == ("m", "N·s")
+
+
+def test_signals_of_others_become_a_table(tmp_path: Path) -> None:
+    source, target = tmp_path / "log.mf4", tmp_path / "log.csv"
+    source.write_bytes(signal_file())
+    convert(source, target)
+    assert target.read_text() == "time_s,engine_speed\n0.0,1.0\n0.1,2.0\n"
+    convert(source, tmp_path / "log.csv.gz")
+    assert gzip.decompress((tmp_path / "log.csv.gz").read_bytes()) == target.read_bytes()
+    with pytest.raises(InputError, match="decoded signals only"):
+        convert(source, tmp_path / "log.blf")
+
+
+def test_signals_that_are_no_table_are_refused(tmp_path: Path) -> None:
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, bytes(32))
+    groups = []
+    for fields in (
+        (Field("time", 0, 0, 64, 4, 2), Field("text", 8, 0, 64, 6)),
+        (Field("time", 0, 0, 64, 4, 2), Field("a", 8, 0, 64, 4)),
+    ):
+        group = build.group(0, build.channels(fields), 16, cycles=1, flags=0)
+        data = build.block(b"DT", [], bytes(16))
+        groups.append(build.data_group(group, data, 0))
+    path = tmp_path / "log.mf4"
+    build.link(64, 0, groups[0])
+    path.write_bytes(build.blob)
+    with pytest.raises(InputError, match="signal text: no plain numbers"):
+        convert(path, tmp_path / "log.csv")
+    build.link(groups[0], 0, groups[1])
+    path.write_bytes(build.blob)
+    with pytest.raises(InputError, match="signals in 2 groups"):
+        convert(path, tmp_path / "log.csv")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["log.mf4"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        ("0.0,1.0\n", r"line 2: 2 columns; expected 3"),
+        ("0.0,1.0,x\n", r"line 2: .* is not numbers"),
+        ("0.1,1,2\n0.0,1,2\n", r"line 3: time 0.0 s after 0.1 s"),
+        ("", r"no rows under the header"),
+        ("nan,1,2\n", r"line 2: time nan"),
+    ],
+)
+def test_torn_traces_are_refused(rows: str, reason: str, tmp_path: Path) -> None:
+    source = tmp_path / "trace.csv"
+    source.write_text(f"time_s,position_m,force_n\n{rows}")
+    with pytest.raises(InputError, match=reason):
+        convert(source, tmp_path / "trace.mf4")
+    assert [path.name for path in tmp_path.iterdir()] == ["trace.csv"]
+
+
+@pytest.mark.parametrize("header", ["time_s,a,a", "time_s,a b", "time_s,"])
+def test_odd_headers_are_refused(header: str, tmp_path: Path) -> None:
+    source = tmp_path / "trace.csv"
+    source.write_text(f"{header}\n0.0,1.0,2.0\n")
+    with pytest.raises(InputError, match="expected distinct names"):
+        convert(source, tmp_path / "trace.mf4")
+
+
+def test_what_is_a_trace(tmp_path: Path) -> None:
+    assert is_trace_csv(str(DATA / "signals.csv"))
+    assert not is_trace_csv(str(DATA / "python_can.csv"))
+    assert not is_trace_csv(str(DATA / "candump_log.log"))

@@ -1,4 +1,4 @@
-"""Reports, locations and refusals that all formats share."""
+"""Reports, locations, refusals and the frame record that all formats share."""
 
 from __future__ import annotations
 
@@ -14,10 +14,132 @@ import threading
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from can_dbc.contract import DBC_PATH
 from can_dbc.errors import InputError
 from sil.logs import FORMATS, LogFrame, open_log, open_writer
+from sil.logs.frame import DLC_LENGTHS, all_ordinary, frame_problem, ordinary_frame
+from sil.logs.report import Location, LogReport, printable
+from tests.support.golden_logs import log_of, write
+
+
+def test_length_codes_of_the_standard() -> None:
+    assert DLC_LENGTHS == (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+    for length in range(65):
+        code = LogFrame(0, 0, bytes(length), fd=True).dlc
+        assert DLC_LENGTHS[code] == min(each for each in DLC_LENGTHS if each >= length)
+
+
+@pytest.mark.parametrize(
+    ("frame", "code"),
+    [
+        (LogFrame(0, 1, b""), 0),
+        (LogFrame(0, 1, bytes(8)), 8),
+        (LogFrame(0, 1, bytes(8), raw_dlc=13), 13),
+        (LogFrame(0, 1, bytes(12), fd=True), 9),
+        (LogFrame(0, 1, bytes(64), fd=True), 15),
+        (LogFrame(0, 1, b"", remote=True, raw_dlc=5), 5),
+        (LogFrame(0, 1, b"", remote=True), 0),
+    ],
+)
+def test_length_code_on_the_wire(frame: LogFrame, code: int) -> None:
+    assert frame.dlc == code
+    assert frame_problem(frame) is None
+
+
+any_frames = st.builds(
+    LogFrame,
+    st.integers(-(2**64), 2**64),
+    st.integers(-5, 2**29 + 5) | st.integers(0x7F0, 0x810),
+    st.binary(max_size=10) | st.binary(min_size=60, max_size=66),
+    *[st.booleans()] * 6,
+    st.sampled_from(("", "can0", "a b", "ä")),
+    st.sampled_from(("", "Rx", "Tx", "up")),
+    st.integers(-1, 17),
+)
+
+
+@settings(deadline=None)
+@given(st.lists(any_frames, min_size=1, max_size=4))
+def test_the_quick_look_is_never_wrong(found: list[LogFrame]) -> None:
+    if all_ordinary(found, {"", "can0"}):
+        assert all(frame_problem(frame) is None for frame in found)
+
+
+def test_the_quick_look_knows_the_ordinary() -> None:
+    found = [
+        LogFrame(0, 0x7FF, b"", False, channel="can0", direction="Rx"),
+        LogFrame(2**63 - 1, 0x1FFFFFFF, bytes(8), direction="Tx"),
+    ]
+    assert all_ordinary(found, {"", "can0"})
+    assert not all_ordinary(found, {""})
+    assert not all_ordinary([found[0]._replace(can_id=0x800)], {"can0"})
+
+
+def test_ordinary_frame_is_the_same_record() -> None:
+    quick = ordinary_frame(5, 0x123, b"\x01", False, "can0", "Rx")
+    assert quick == LogFrame(5, 0x123, b"\x01", False, channel="can0", direction="Rx")
+    assert type(quick) is LogFrame
+
+
+def test_refusal_names_the_place(tmp_path: Path) -> None:
+    path = str(tmp_path / "a.asc")
+    with (
+        pytest.raises(
+            InputError, match=r"a.asc: frame 1: standard identifier 0x800 .*; expected a CAN"
+        ),
+        open_writer(path) as writer,
+    ):
+        writer.write(LogFrame(0, 0x800, b"", False))
+
+
+@pytest.mark.parametrize("text", ["can0 zwölf", "größe", "ß", "plain", "日本"])
+def test_utf8_read_as_latin1_is_shown_as_utf8(text: str) -> None:
+    read = text.encode().decode("latin-1")
+    assert printable(read) == text
+    assert str(Location(f"{read!r} is no line", line=3)) == f"line 3: '{text}' is no line"
+
+
+def test_latin1_stays_and_control_characters_do_not() -> None:
+    assert printable("zw\xf6lf\x07") == "zwölf?"
+
+
+def test_what_is_not_whole_is_said_in_one_line() -> None:
+    report = LogReport("a.log", "candump", frames=3)
+    assert report.clean and report.faults == ""
+    report.skip(Location("no frame", line=7))
+    report.skip(Location("no frame", line=8))
+    report.note("a remark")
+    report.cut(Location("half a line", line=9))
+    cut = "cut off at line 9: half a line"
+    assert report.faults == f"{cut}; broken and skipped: 2, the first line 7: no frame"
+    assert cut in LogReport.joined([report, report]).faults
+
+
+VSPY = "Vehicle Spy 3 Export\nLine,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description\n"
+FOREIGN = {
+    "busmaster.log": "***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n10:1:2:3 Rx 1 0x123 s 1 00\n",
+    "vspy.csv": VSPY,
+    "car.crtd": "1320745424.000 CXX OVMS CRTD\n1320745424.002 R11 402 FA 01 C3 A0 96 00 07 01\n",
+    "bus.txt": "1320745424.002 1R29 18F00503 FA 01 C3 A0 96 00 07 01\n",
+    "old.txt": "# Logger type: CL2000\nTimestamp;Type;ID;Data\n",
+    "trace.txt": "ASCII Trace IXXAT V1.3\n",
+    "log.db": "SQLite format 3\0",
+    "canoe.csv": "Time[s];Channel;ID;Name;Dir;DLC;Data\n0.1;CAN 1;123;X;Rx;1;00\n",
+    "kvaser.csv": "Time,Channel,ID,Flags,DLC,Data0\n",
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_what_converts_a_foreign_log_is_said(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(FOREIGN[name])
+    with pytest.raises(InputError, match="which is not read; expected one of ") as no:
+        open_log(tmp_path / name)
+    assert "\n" not in str(no.value)
+    assert ("python-can" in str(no.value)) is (name == "log.db")
+
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 
@@ -90,9 +212,7 @@ def test_garbage_alone_is_never_silence(tmp_path: Path) -> None:
 
 
 def test_locations_are_few_and_counts_are_all(tmp_path: Path) -> None:
-    path = tmp_path / "log.log"
-    path.write_text("(1.000000) can0 123#11\n" + "?\n" * 5000)
-    reader = open_log(path)
+    reader = log_of(tmp_path / "log.log", "(1.000000) can0 123#11\n" + "?\n" * 5000)
     list(reader)
     assert reader.report.skipped == 5000
     assert len(reader.report.skipped_locations) == 10
@@ -163,8 +283,7 @@ def test_devices_are_refused() -> None:
 @pytest.mark.parametrize("more", [[], ["--dbc", DBC_PATH]])
 def test_logs_come_from_and_go_to_pipes(tmp_path: Path, more: list[str]) -> None:
     log = tmp_path / "a.log"
-    with open_writer(log) as writer:
-        writer.write(LogFrame(0, 0xCFF0005, bytes(8), channel="can0"))
+    write(log, [LogFrame(0, 0xCFF0005, bytes(8), channel="can0")])
     to = ["--to", "candump"] if not more else []
     command = [sys.executable, "-m", "sil.cli", "convert", "-", "-", *to, *more]
     done = subprocess.run(command, input=log.read_bytes(), capture_output=True, check=True)
@@ -226,9 +345,7 @@ def test_only_what_is_patched_waits_to_be_packed(
     frames = [LogFrame(i * 10**6, i, bytes(8), channel="1", direction="Rx") for i in range(3000)]
     plain, packed = tmp_path / f"plain.{suffix}", tmp_path / f"packed.{suffix}.gz"
     for path in (plain, packed):
-        with open_writer(path) as writer:
-            for frame in frames:
-                writer.write(frame)
+        write(path, frames)
     assert gzip.decompress(packed.read_bytes()) == plain.read_bytes()
     packed.unlink()
 

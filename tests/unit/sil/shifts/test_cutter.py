@@ -1,8 +1,9 @@
-"""Shifts of a truck out of its log, through everything that real logs do to them."""
+"""Shifts cut out of a drive, as reported and with the engine."""
 
 from __future__ import annotations
 
 import json
+import math
 import random
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,12 +12,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_dbc.codec import encode
 from can_dbc.errors import InputError
 from can_dbc.frame import join_id, split_id
+from can_dbc.messages import GEAR_PARK, Etc1, Etc2
 from sil.j1939.summary import summarize
-from sil.logs import LogFrame, open_writer
+from sil.logs import LogFrame
 from sil.shifts.cutter import Shift
-from tests.support.j1939_logs import MS, NOT_AVAILABLE, SEVEN, START_NS, Drive, etc1, etc2, truck
+from sil.shifts.engine import EngineTrace
+from sil.shifts.reported import gear_at, shift_in_process, word_at
+from tests.support.golden_logs import write
+from tests.support.j1939_logs import (
+    MS,
+    NOT_AVAILABLE,
+    SEVEN,
+    START_NS,
+    Drive,
+    eec1,
+    etc1,
+    etc2,
+    truck,
+    with_engine,
+)
 
 ETC1, ETC2 = 61442, 61445
 
@@ -77,9 +94,7 @@ def test_seven_shifts_of_a_truck() -> None:
 @pytest.mark.parametrize("suffix", ["log", "mf4", "csv.gz"])
 def test_out_of_a_file(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"truck.{suffix}"
-    with open_writer(path) as writer:
-        for frame in truck():
-            writer.write(frame)
+    write(path, truck())
     assert plain(shifts(path)) == SEVEN
     summary = summarize(path)
     assert plain(summary.shifts) == SEVEN
@@ -417,3 +432,81 @@ def test_a_gap_within_a_flagged_shift_is_stated() -> None:
     assert second.silent_ns / 1e9 == pytest.approx(3.0, abs=0.02)
     assert "3.0" in str(second) and "of it not recorded" in str(second)
     assert any("not recorded for over 1 s in 1 shift," in note for note in found.notes)
+
+
+def test_flags_have_two_bits() -> None:
+    flags = [shift_in_process(bytes((0xCF | state << 4,))) for state in range(4)]
+    assert flags == [False, True, None, None]
+
+
+def test_words_above_the_valid_range_are_none() -> None:
+    assert word_at(bytes((0x40, 0x1F)), 0) == 8000
+    assert word_at(bytes((0, 0xFF, 0xFA)), 1) == 0xFAFF
+    assert word_at(bytes((0x00, 0xFB)), 0) is None
+
+
+def test_reverse_neutral_and_park() -> None:
+    gears = [gear_at(bytes((raw,)), 0) for raw in (0, 1, 123, 125, 126, 250, 251)]
+    assert gears == [None, -124, -2, 0, 1, 125, GEAR_PARK]
+    assert [gear_at(bytes((raw,)), 0) for raw in (252, 253, 254, 255)] == [None] * 4
+
+
+@given(shifting=st.booleans(), bits=st.integers(0, 0xFAFF), gear=st.integers(-124, 126))
+def test_our_own_messages_are_read(shifting: bool, bits: int, gear: int) -> None:
+    speed_rad_s = bits * 0.125 * 2.0 * math.pi / 60.0
+    etc1 = encode(Etc1(shift_in_process=shifting, input_shaft_rad_s=speed_rad_s)).data
+    assert shift_in_process(etc1) is shifting
+    assert word_at(etc1, 5) == pytest.approx(bits, abs=1)
+    assert gear_at(encode(Etc2(current_gear=gear)).data, 3) == gear
+
+
+def test_each_shift_has_the_torque_and_its_cut() -> None:
+    found = summarize(with_engine()).shifts
+    assert len(found) == 3
+    for shift, (begin, end, _, _) in zip(found, SEVEN, strict=False):
+        engine = shift.engine
+        assert engine is not None
+        assert (engine.torque_before_percent, engine.torque_least_percent) == (60, -5)
+        assert (engine.torque_after_percent, engine.speed_before_rpm) == (60, 1500)
+        assert engine.torque_cut_s == pytest.approx((end - begin + 60) / 1e3, abs=0.011)
+        assert "torque 60 %, down to -5 % (cut for" in str(shift)
+    assert "ratio 11.70 to 9.20" in str(found[1])
+
+
+def test_without_the_engine_there_are_no_figures() -> None:
+    found = summarize([f for f in with_engine() if f.can_id != 0x0CF00400]).shifts
+    assert [shift.engine for shift in found] == [None] * 3
+
+
+def test_memory_grows_with_the_shifts_only() -> None:
+    trace = EngineTrace()
+    for n in range(5_000):
+        trace.take(n * 10 * MS, eec1(0, 50, 1500).data)
+        if n == 2_000:
+            trace.keep(n * 10 * MS)
+    assert len(trace.time_ns) == 301 + 200
+
+
+def test_no_torque_no_cut_and_no_values() -> None:
+    trace = EngineTrace()
+    trace.keep(0)
+    for n in range(300):
+        trace.take(n * 10 * MS, eec1(0, 5, 700).data)
+        trace.take(n * 10 * MS, b"\xff" * 8)
+    engine = trace.figures(1_000 * MS, 1_500 * MS)
+    assert engine is not None and engine.torque_cut_s is None
+    assert trace.figures(-1, -1) is None
+
+
+def test_samples_are_by_time_whatever_the_clock_did() -> None:
+    traces = EngineTrace(), EngineTrace()
+    frames = [eec1(n * 10, 60 - n % 7, 1000 + n) for n in range(400)]
+    for trace, order in zip(traces, (frames, [*frames[200:], *frames[:200]]), strict=True):
+        trace.keep(2**62)
+        for frame in order:
+            trace.take(frame.time_ns, frame.data)
+        trace.sort()
+    ours, stepped = (
+        trace.figures(START_NS + 1_000 * MS, START_NS + 2_500 * MS) for trace in traces
+    )
+    assert ours is not None and ours == stepped

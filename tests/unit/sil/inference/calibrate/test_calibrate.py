@@ -1,4 +1,4 @@
-"""Calibration of the shipped example: a cylinder of another simulator, with a wrong data sheet."""
+"""Calibration of cylinders of other simulators, with a wrong data sheet."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import pytest
 
 from plant.parameters import ParameterSet, load
 from sil.campaign.campaign import load_campaign
+from sil.cli import main
 from sil.inference.calibrate.calibration import StrokeCalibration, calibrate
 from sil.inference.calibrate.output import model_text, strokes_figure, write_page
 from sil.inference.spread import Spread
 from tests.conftest import ROOT, run_opc4
+from tests.support.second_cylinder import drawn, faulty, write_campaign, write_sheet
 
 EXAMPLE = ROOT / "sil" / "examples" / "cylinder"
 TRUTH = {
@@ -105,3 +107,22 @@ def test_a_leak_is_found_with_the_calibrated_model(
     first = json.loads((tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8"))["causes"][0]
     size = first["parameters"]["cda_m2"]
     assert first["id"] == "piston_leak" and size["low"] < 0.06 * 4.6e-6 < size["high"]
+
+
+@pytest.mark.slow
+def test_more_friction_is_named_with_the_calibrated_model(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    unit = drawn(rng)
+    healthy = write_campaign(unit, tmp_path / "healthy", rng)
+    sheet = write_sheet(unit, tmp_path / "sheet.toml", rng, 0.1)
+    worn, factor = faulty(unit, "dynamic_friction", 2.2)
+    today = write_campaign(worn, tmp_path / "today", rng)
+    model, out = tmp_path / "mine.toml", tmp_path / "out"
+    assert main(["calibrate", str(healthy), "--model", str(sheet), "--out", str(model)]) == 0
+    assert main(["diagnose", str(today), "--model", str(model), "--out", str(out)]) == 1
+    diagnosis = json.loads((out / "diagnosis.json").read_text())
+    first = diagnosis["causes"][0]
+    size = first["parameters"]["factor"]
+    assert diagnosis["verdict"] == "named" and first["id"] == "dynamic_friction"
+    assert size["low"] <= factor <= size["high"]
+    assert size["value"] == pytest.approx(factor, rel=0.1)

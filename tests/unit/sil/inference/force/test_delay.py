@@ -8,9 +8,8 @@ import pytest
 from sil.inference.force.delay import sooner
 from sil.inference.force.diagnosis import ForceDiagnosis
 from sil.inference.force.record import read_motion
-from tests.support.force_rig import diagnose_force
+from tests.support.force_rig import HEAD, changed, diagnose_force, rig, written
 from tests.support.held_bodies import draw_held
-from tests.unit.sil.inference.made_rig import HEAD, changed, rig, written
 
 PRESSED = HEAD + "[body]\npiston_area_m2 = 1e-4\n"
 

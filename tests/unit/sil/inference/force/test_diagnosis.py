@@ -12,8 +12,7 @@ from sil.cli import main
 from sil.inference.force.checks import odd_channels
 from sil.inference.force.fit import Bank, acceptable, gain_in_errors, has_one_value, jackknife
 from sil.inference.force.record import read_motion, smoothed
-from tests.support.force_rig import diagnose_force
-from tests.unit.sil.inference.made_rig import HEAD, changed, rig, written
+from tests.support.force_rig import HEAD, changed, diagnose_force, rig, written
 
 
 def test_filtered_derivatives_are_those_of_one_filter() -> None:

@@ -1,8 +1,4 @@
-"""Identification recovers the truth of campaigns made here, within the interval it states.
-
-The campaigns are simulated with other parameters than the identification starts from, with the
-instruments' noise and the healthy scatter of strokes.
-"""
+"""Identification recovers the truth of noisy campaigns made here, within the interval it states."""
 
 from __future__ import annotations
 
