@@ -97,7 +97,7 @@ def follow_pressure(setup: Setup, slot: float, pressures: Floats, flows: Floats)
     sentence="The supply pressure is {} below the stated one",
 )
 def supply_low(setup: Setup, values: dict[str, float]) -> None:
-    """Return true supply pressure below the stated one by a share."""
+    """Lower the true supply pressure below the stated one by a share."""
     setup.p.p_supply *= 1.0 - values["deficit"]
 
 

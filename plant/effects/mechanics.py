@@ -31,7 +31,7 @@ def free_play(setup: Setup, values: dict[str, float]) -> None:
     sentence="The engaged end stop has moved by {}",
 )
 def stop_wear(setup: Setup, values: dict[str, float]) -> None:
-    """Return the engaged end stop has moved outward."""
+    """Move the engaged end stop outward."""
     setup.p.stop_offset += values["offset_m"]
 
 
@@ -85,7 +85,7 @@ def detent(setup: Setup, values: dict[str, float]) -> None:
     EffectParameter("restitution", "-", 0.0, 0.0, 0.95, 0.3, 1),
 )
 def bounce(setup: Setup, values: dict[str, float]) -> None:
-    """Return stops rebound with this coefficient of restitution."""
+    """Let stops rebound with this coefficient of restitution."""
     setup.p.restitution = values["restitution"]
 
 

@@ -20,7 +20,7 @@ from plant.effects.setup import Setup
     sentence="The sensor's coil is {} warmer than assumed",
 )
 def temperature(setup: Setup, values: dict[str, float]) -> None:
-    """Return the coil is warmer than the temperature compensated for."""
+    """Warm the coil beyond the temperature compensated for."""
     chain = setup.chain
     warmer = chain.measured_temperature_k + values["difference_k"]
     setup.chain = replace(chain, coil_temperature_k=warmer)
@@ -37,7 +37,7 @@ def temperature(setup: Setup, values: dict[str, float]) -> None:
     sentence="The position sensor's gain is off by {}",
 )
 def gain(setup: Setup, values: dict[str, float]) -> None:
-    """Return reported position times 1 + gain."""
+    """Multiply the reported position by 1 + gain."""
     setup.internal_gain *= 1.0 + values["gain"]
 
 
@@ -53,7 +53,7 @@ def gain(setup: Setup, values: dict[str, float]) -> None:
     sentence="The position is published {} late",
 )
 def delay(setup: Setup, values: dict[str, float]) -> None:
-    """Return the reported position is published later."""
+    """Publish the reported position later."""
     setup.chain = replace(setup.chain, latency_s=setup.chain.latency_s + values["delay_s"])
 
 
@@ -78,7 +78,7 @@ def delay(setup: Setup, values: dict[str, float]) -> None:
     sentence="The control unit's clock is off by {}",
 )
 def skew(setup: Setup, values: dict[str, float]) -> None:
-    """Return the control unit's time runs late against the recorder: offset + drift t."""
+    """Let the control unit's time run late against the recorder: offset + drift t."""
     setup.clock_offset_s += values["offset_s"]
     setup.clock_drift += values["drift"]
 

@@ -20,7 +20,7 @@ from plant.effects.tolerances import shift_delay
     noun="a delay",
 )
 def open_later(setup: Setup, values: dict[str, float]) -> None:
-    """Return opening delay longer by a time."""
+    """Open later by a time."""
     shift_delay(setup, "rise", values["delay_s"])
 
 
@@ -40,7 +40,7 @@ def open_later(setup: Setup, values: dict[str, float]) -> None:
     sentence="The valves' opening delay changes with supply pressure by {}",
 )
 def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
-    """Return opening delay plus slope (P_s - reference): the plunger opens against the supply."""
+    """Open later by slope (P_s - reference): the plunger opens against the supply."""
     shift_delay(setup, "rise", values["slope_s_pa"] * (setup.p.p_supply - values["reference_pa"]))
 
 
@@ -56,7 +56,7 @@ def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     sentence="Valves close {} late",
 )
 def close_later(setup: Setup, values: dict[str, float]) -> None:
-    """Return closing delay longer by a time."""
+    """Close later by a time."""
     shift_delay(setup, "fall", values["delay_s"])
 
 
@@ -70,7 +70,7 @@ def close_later(setup: Setup, values: dict[str, float]) -> None:
     sentence="The valves' plungers take {} to cross",
 )
 def creep(setup: Setup, values: dict[str, float]) -> None:
-    """Return the plunger crosses in a straight ramp of this duration, both ways."""
+    """Let the plunger cross in a straight ramp of this duration, both ways."""
     setup.creep_s = values["travel_s"]
 
 

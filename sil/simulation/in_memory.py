@@ -49,7 +49,7 @@ class Run:
 
     @cached_property
     def checks(self) -> list[Check]:
-        """The expectations of the scenario with their values and limits."""
+        """The expectations of the scenario with their values and limits; balances and bus deadlines in `opc4 run` only."""
         observed = Observed(circumstances(self.scenario), self.record)
         return checks_of(self.loaded, observed, self.shifts, self.metrics)
 
