@@ -187,6 +187,7 @@ def _take_server() -> _Server:
         _idle.remove(server)
         if server.is_alive:
             return server
+        server.kill()  # it died while idle: its files are closed
     return _Server()
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import os
+import signal
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,6 +44,18 @@ def test_our_own_program_in_a_file_gives_the_same_bits(tmp_path: Path) -> None:
     mine = run_in_memory(load(str(path)))
     path.write_text(path.read_text().replace('firmware = "own.py:Mine"', ""))
     assert mine.trace_sha256 == run_in_memory(load(str(path))).trace_sha256
+
+
+def test_a_process_that_died_between_two_runs_is_replaced_and_leaves_no_open_file(
+    tmp_path: Path,
+) -> None:
+    server = tmp_path / "server"
+    program = f"import os\nopen({str(server)!r}, 'w').write(str(os.getppid()))\n{OURS}"
+    scenario = load(str(scenario_with(tmp_path, program, "own.py:Mine")))
+    first = run_in_memory(scenario)
+    os.kill(int(server.read_text()), signal.SIGKILL)
+    assert run_in_memory(scenario).trace_sha256 == first.trace_sha256
+    gc.collect()  # an open file would warn, and warnings are errors
 
 
 def test_it_is_found_beside_the_scenario_and_from_the_command_line(
