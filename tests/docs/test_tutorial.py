@@ -63,7 +63,7 @@ def result(folder: Path) -> dict[str, Any]:
 def test_every_step_was_run(done: tuple[Path, list[str]]) -> None:
     assert len(done[1]) == 13
     assert {words.split()[1] for words in done[1] if words.startswith("opc4")} == {
-        *("run", "whatif", "simulate", "diagnose", "firmware"),
+        *("run", "whatif", "simulate", "diagnose", "firmware")
     }
 
 

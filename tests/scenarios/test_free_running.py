@@ -50,11 +50,7 @@ def local_bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, st
 def run(folder: Path, env: dict[str, str], *words: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "sil.cli", "run", *words, "--out", str(folder)]
     return subprocess.Popen(
-        command,
-        env=env,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
 
 

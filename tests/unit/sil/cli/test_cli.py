@@ -241,11 +241,7 @@ def test_convert_writes_once_and_refuses_the_rest(tmp_path: Path, capsys: Captur
 @pytest.mark.parametrize("command", ["run", "simulate", "diagnose", "whatif", "replay", "convert"])
 @pytest.mark.parametrize("name", ["x" * 5000, "loop/campaign"])
 def test_a_path_that_cannot_exist_is_bad_input(
-    command: str,
-    name: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Capture,
+    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
@@ -330,11 +326,7 @@ MAY_WAIT = (".asc", ".blf", ".mf4")
 @pytest.mark.parametrize("spoil", SPOILS)
 @pytest.mark.parametrize("suffix", READERS)
 def test_a_bad_file_is_refused_in_one_line(
-    suffix: str,
-    spoil: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: Capture,
+    suffix: str, spoil: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Capture
 ) -> None:
     if suffix in MAY_WAIT and spoil == "pipe":
         return
