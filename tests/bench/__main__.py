@@ -14,11 +14,11 @@ SUPPORT = {
     "instruments": "instruments",
     "next_experiment": "next_strokes",
     "replay": "replay_cost",
-    "truck_logs": "truck_logs",
+    "strategies": "step_cost",
 }
 """Measurements that tests use too: their module in tests/support."""
 
-HOURS = ("hidden_effects", "instruments", "second_cylinder", "soak", "truck_logs", "truck_sets")
+HOURS = ("hidden_effects", "instruments", "second_cylinder", "soak", "truck_sets")
 
 
 def module(name: str) -> ModuleType:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from sil.cli import main
+from tests.support.hidden_study import share
 from tests.support.second_cylinder import FAULTS, drawn, faulty, write_campaign, write_sheet
-from tests.support.truck_logs import ALARMS, share
+from tests.support.truck_logs import ALARMS
 
 
 def one(seed: int) -> list[dict[str, Any]]:
@@ -67,11 +68,11 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     ]
     inside = sum(v["low"] <= row["size"] <= v["high"] for v, row in zip(sized, first, strict=True))
     seconds = sorted(row["cpu_s"] for row in rows)
-    yield f"models good enough to diagnose with: {share(sum(r['good'] for r in units), len(units))}"
-    yield f"healthy units with an alarm: {share(falsely, len(rows) - len(sick))}"
-    yield f"faulty units with an alarm: {share(len(alarms), len(sick))}"
-    yield f"the hidden cause first: {share(len(first), len(sick))}"
-    yield f"its size inside the 95 % interval: {share(inside, len(first))}"
+    yield share("models good enough to diagnose with", sum(r["good"] for r in units), len(units))
+    yield share("healthy units with an alarm", falsely, len(rows) - len(sick))
+    yield share("faulty units with an alarm", len(alarms), len(sick))
+    yield share("the hidden cause first", len(first), len(sick))
+    yield share("its size inside the 95 % interval", inside, len(first))
     yield f"CPU: calibration at most {max(r['calibration_s'] for r in units)} s"
     yield f"CPU: diagnosis median {seconds[len(seconds) // 2]} s, largest {seconds[-1]} s"
 

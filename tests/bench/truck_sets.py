@@ -1,8 +1,12 @@
-"""Drawn sets of a truck's logs, healthy and with one fault, through `opc4 diagnose LOG...`."""
+"""Drawn sets of a truck's logs, healthy and with one fault, through `opc4 diagnose LOG...`.
+
+By the plant, or, with $OPC4_LAYOUT (`LAYOUTS` of tests/support/truck_logs.py), by tests/reference, one log each.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,17 +19,24 @@ import numpy as np
 from plant.effects import CATALOGUE
 from sil.cli import main
 from sil.inference.candidate import scaled_of
-from tests.support.truck_logs import ALARMS, drawn_cause, drawn_set, share
+from tests.support.hidden_study import share
+from tests.support.truck_logs import ALARMS, by_reference, drawn_cause, drawn_set
 
 
-def one(seed: int, is_faulty: bool) -> dict[str, Any]:
+def one(seed: int, is_faulty: bool, layout: str = "") -> dict[str, Any]:
     """Draw a set, diagnose it, and return what was hidden and what was found."""
     hidden, cause = "", {}
-    if is_faulty:
-        rng = np.random.default_rng([seed, 12])
-        hidden, cause = drawn_cause(float(rng.uniform()), rng)
+    rng = np.random.default_rng([seed, 12])
+    severity = float(rng.uniform()) if is_faulty else None
     with TemporaryDirectory() as folder:
-        logs = drawn_set(Path(folder), seed, cause)
+        if layout:
+            logs = [str(Path(folder) / "0.log")]
+            shifts = int(rng.integers(3, 13))
+            hidden, cause, _ = by_reference(Path(logs[0]), seed, shifts, severity, layout)
+        else:
+            if severity is not None:
+                hidden, cause = drawn_cause(severity, rng)
+            logs = drawn_set(Path(folder), seed, cause)
         began = process_time()
         out = Path(folder) / "out"
         main(["diagnose", *logs, "--out", str(out), "--quiet", "--workers", "1"])
@@ -36,7 +47,9 @@ def one(seed: int, is_faulty: bool) -> dict[str, Any]:
         "size": next(iter(cause.values()), None),
         "verdict": diagnosis["verdict"],
         "causes": {item["id"]: item["probability"] for item in diagnosis["causes"]},
-        "noticed_from": [i["size"] for i in diagnosis["detectable"] if i["id"] == hidden],
+        "noticed_from": [
+            i["size"] for i in diagnosis["detectable"] if i["id"] == hidden and not layout
+        ],
         "shifts": diagnosis["shifts"],
         "failed": any("did not reach" in line for line in diagnosis["findings"]),
         "cpu_s": round(process_time() - began, 1),
@@ -66,16 +79,20 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     wrong = [r for r in rows if any(p > 0.8 and n != r["hidden"] for n, p in r["causes"].items())]
     silent = [r for r in rows if r["failed"] and r["verdict"] not in ALARMS]
     seconds = sorted(row["cpu_s"] for row in rows)
-    yield f"healthy trucks with an alarm: {share(falsely, len(clean))}"
-    yield f"faulty trucks with an alarm: {share(len(alarms), len(faulty))}"
-    yield f"the hidden cause among those reported: {share(sum(r['hidden'] in r['causes'] for r in alarms), len(alarms))}"
+    yield share("healthy trucks with an alarm", falsely, len(clean))
+    yield share("faulty trucks with an alarm", len(alarms), len(faulty))
+    yield share(
+        "the hidden cause among those reported",
+        sum(r["hidden"] in r["causes"] for r in alarms),
+        len(alarms),
+    )
     yield f"faulty trucks: {', '.join(f'{n} {kind}' for kind, n in Counter(map(outcome, faulty)).most_common())}"
     for least, most in ((0.0, 0.0), (0.0, 1.0), (1.0, 2.0), (2.0, np.inf)):
         within = [r for r in faulty if least < (by := by_noticed(r)) <= most or by == least == most]
         title = f"{least:g} to {most:g} of the size stated" if most else "with no size stated"
         alarm = sum(row["verdict"] in ALARMS for row in within)
-        yield f"alarms of faults {title}: {share(alarm, len(within))}"
-    yield f"a wrong cause above 0.8: {share(len(wrong), len(rows))}"
+        yield share(f"alarms of faults {title}", alarm, len(within))
+    yield share("a wrong cause above 0.8", len(wrong), len(rows))
     yield f"failing shifts without an alarm: {len(silent)}"
     yield f"CPU: median {seconds[len(seconds) // 2]} s, largest {seconds[-1]} s"
 
@@ -84,8 +101,9 @@ def measure(
     sets: int = 100, first: int = 3000, store: Path = Path("truck_sets.jsonl")
 ) -> Iterator[str]:
     """Judge so many healthy and so many faulty sets; results are added to `store` as they come."""
+    layout = os.environ.get("OPC4_LAYOUT", "")
     for seed in range(first, first + sets):
         for is_faulty in (False, True):
             with store.open("a") as file:
-                file.write(json.dumps(one(seed, is_faulty)) + "\n")
+                file.write(json.dumps(one(seed, is_faulty, layout)) + "\n")
     yield from table([json.loads(line) for line in store.read_text().splitlines()])

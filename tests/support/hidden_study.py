@@ -158,7 +158,7 @@ def interval(hits: float, count: int) -> tuple[float, float]:
 def share(name: str, hits: float, count: int) -> str:
     """A share with its interval as a line."""
     if count == 0:
-        return f"{name}: no campaigns"
+        return f"{name}: none"
     low, high = interval(hits, count)
     return f"{name}: {hits:g} of {count} = {hits / count:.3f} [{low:.3f}, {high:.3f}]"
 

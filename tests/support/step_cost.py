@@ -6,10 +6,11 @@ import dis
 import statistics
 import sys
 import time
+from collections.abc import Iterator
 from types import CodeType, FrameType
 from typing import Any
 
-from controller.strategies import Strategy, strategy_class
+from controller.strategies import NAMES, Strategy, strategy_class
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load
 
@@ -76,3 +77,11 @@ def cost(name: str) -> tuple[float, float, int]:
     finally:
         setattr(kind, "command", plain)  # noqa: B010
     return 1e6 * statistics.median(spent_s), 1e6 * max(spent_s), max(counts)
+
+
+def measure() -> Iterator[str]:
+    """Yield a line for each strategy."""
+    yield "strategy       median us   worst us   operations a step at most"
+    for name in NAMES:
+        median_us, worst_us, counted = cost(name)
+        yield f"{name:14} {median_us:9.1f} {worst_us:10.1f} {counted:12,d}"

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from plant.effects import CATALOGUE
 from plant.parameters import load
-from sil.cli import main
-from sil.inference.candidate import scaled_of
 from sil.logs import LogFrame, open_writer
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from tests.hidden_effects import effects
 from tests.reference.truck import StalledError, write_log
 from tests.reference.truck import drawn_truck as drawn_reference
-from tests.support.hidden_study import interval
 
 NEUTRAL_S = (0.55, 0.75)
 """Time between two requests."""
@@ -89,27 +82,6 @@ def truck_log(
     return raw
 
 
-DAY_S = 86_400
-FIRST_DAY_S = 1_700_000_000
-
-
-def trips(
-    folder: Path, seed: int, count: int, shifts: int, at: int, cause: dict[str, float]
-) -> None:
-    """Write one log a day of the same truck, with further settings (`cause`) from log `at` on."""
-    folder.mkdir(parents=True, exist_ok=True)
-    same, settings = drawn_truck(np.random.default_rng(seed), shifts)
-    for trip in range(count):
-        raw, _others = drawn_truck(np.random.default_rng([seed, trip]), shifts)
-        driveline = same["driveline"] | {"residual_rad_s": raw["driveline"]["residual_rad_s"]}
-        raw |= {"plant": same["plant"], "clock": same["clock"], "driveline": driveline}
-        later = cause if trip >= at else {}
-        given = {"settings": settings | later, "seed": 1000 * seed + trip}
-        loaded = load_scenario.from_table(raw, "drawn", **given)
-        begin_ns = (FIRST_DAY_S + trip * DAY_S) * 1_000_000_000
-        _write(folder / f"{trip:03d}.log", loaded, begin_ns)
-
-
 def _write(path: Path, loaded: load_scenario.Loaded, begin_ns: int = 0) -> None:
     with open_writer(str(path)) as writer:
         for entry in run_in_memory(loaded).record.frames:
@@ -161,16 +133,6 @@ LAYOUTS: dict[str, dict[str, bool]] = {
 """What differs on the bus, and whether the loads of the gearbox do from shift to shift."""
 
 
-def by_plant(
-    path: Path, seed: int, shifts: int, severity: float | None
-) -> tuple[str, dict[str, float]]:
-    """Write a log by the project's own plant; return the cause hidden in it and its settings."""
-    generator = np.random.default_rng([seed, 7])
-    name, cause = ("", {}) if severity is None else drawn_cause(severity, generator)
-    truck_log(path, seed, shifts, cause)
-    return name, cause
-
-
 def by_reference(
     path: Path, seed: int, shifts: int, severity: float | None, layout: str = "steady"
 ) -> tuple[str, dict[str, float], float | None]:
@@ -191,145 +153,7 @@ def by_reference(
     raise StalledError(f"{name}, drawn six times")
 
 
-def one(
-    seed: int, shifts: int, severity: float | None, folder: Path, layout: str = ""
-) -> dict[str, Any]:
-    """Return what was hidden and found in a log by tests/reference, without a layout by the plant."""
-    path = folder / f"{seed}.log"
-    began = perf_counter()
-    if layout:
-        name, cause, severity = by_reference(path, seed, shifts, severity, layout)
-    else:
-        name, cause = by_plant(path, seed, shifts, severity)
-    ran = perf_counter()
-    out = folder / f"{seed}"
-    code = main(["diagnose", str(path), "--out", str(out), "--quiet", "--workers", "1"])
-    found = json.loads((out / "diagnosis.json").read_text())
-    path.unlink()
-    causes = {item["id"]: item for item in found["causes"]}
-    own = next(iter(causes[name]["parameters"].values())) if name in causes else None
-    chi2 = found["chi2_per_number"] or {"healthy": 0.0, "best": 0.0}
-    return {
-        "seed": seed,
-        "layout": layout,
-        "shifts": shifts,
-        "severity": severity,
-        "hidden": name,
-        "size": list(cause.values())[:1],
-        "exit": code,
-        "verdict": found["verdict"],
-        "reported": {key: round(item["probability"], 3) for key, item in causes.items()},
-        "best": next(iter(causes), ""),
-        "healthy": found["probabilities"].get("healthy", 1.0),
-        "interval": own and [own["low"], own["value"], own["high"]],
-        "noticed_from": [i["size"] for i in found["detectable"] if i["id"] == name],
-        "groups": [group["causes"] for group in found["groups"]],
-        "chi2": [round(chi2["healthy"], 2), round(chi2["best"], 2)],
-        "seconds": [round(ran - began, 1), round(perf_counter() - ran, 1)],
-        "findings": found["findings"][:1],
-    }
-
-
-def share(hits: int, count: int) -> str:
-    """Return a share with its 95 % interval (Wilson)."""
-    if count == 0:
-        return "-"
-    low, high = interval(hits, count)
-    return f"{hits}/{count} ({100 * low:.0f}-{100 * high:.0f} %)"
-
-
 ALARMS = ("named", "ambiguous", "unnamed")
-OTHER_UNITS = ("friction_asymmetry", "hose_droop", "seal_pressure_friction", "added_mass")
-"""Causes whose size in tests/reference is not that of the plant's parameter."""
-
-SIZES_BY_NOTICED = (
-    ("that theory says are noticed at no size", 0.0, 1e-9),
-    ("below half the size that it says is noticed in 9 of 10", 1e-9, 0.5),
-    ("from half to one and a half of that", 0.5, 1.5),
-    ("above", 1.5, np.inf),
-)
-
-
-def by_noticed(row: dict[str, Any]) -> float | None:
-    """Return a cause's size by the least one stated as noticed; 0 if none is, None if units differ."""
-    if not row["hidden"] or row["hidden"] in OTHER_UNITS:
-        return None
-    parameter = CATALOGUE[row["hidden"]].parameters[0]
-    sizes = [scaled_of(parameter, value) for value in row["noticed_from"] if value is not None]
-    if not row["size"] or not sizes:
-        return 0.0
-    return abs(scaled_of(parameter, row["size"][0])) / min(map(abs, sizes))
-
-
-def table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield the lines of the table of all results, of the plant's own logs and of the others."""
-    for title, is_own in (("own plant", True), ("tests/reference", False)):
-        drawn = [row for row in rows if is_own == (not row.get("layout"))]
-        if drawn:
-            yield f"## logs drawn by {title}"
-            yield from _found(drawn)
-
-
-def _found(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield the lines of one implementation."""
-    clean = [row for row in rows if not row["hidden"]]
-    faulty = [row for row in rows if row["hidden"]]
-    for layout in sorted({row["layout"] for row in clean}):
-        own = [row for row in clean if row["layout"] == layout]
-        alarms = sum(row["verdict"] in ALARMS for row in own)
-        yield f"healthy trucks with an alarm, {layout or 'own'}: {share(alarms, len(own))}"
-    alarms = sum(row["verdict"] in ALARMS for row in clean)
-    yield f"healthy trucks with an alarm: {share(alarms, len(clean))}"
-    wrong = [r for r in rows if r["verdict"] == "named" and r["best"] != r["hidden"]]
-    yield f"a wrong cause above 0.8: {share(len(wrong), len(rows))}"
-    sure = [r for r in rows if r["interval"] and not r["layout"]]
-    if sure:  # sizes of the other implementation are in other units
-        held = sum(r["interval"][0] <= r["size"][0] <= r["interval"][2] for r in sure)
-        yield f"sizes of reported hidden causes in their 95 % interval: {share(held, len(sure))}"
-    found = [row for row in faulty if row["verdict"] in ALARMS]
-    first = sum(row["best"] == row["hidden"] for row in found)
-    yield f"the hidden cause first, of alarms: {share(first, len(found))}"
-    for title, low, high in SIZES_BY_NOTICED:
-        own = [row for row in faulty if low <= (by_noticed(row) or 0.0) < high]
-        own = [row for row in own if by_noticed(row) is not None]
-        alarms = sum(row["verdict"] in ALARMS for row in own)
-        yield f"hidden causes {title}: alarms {share(alarms, len(own))}"
-    yield "| severity | shifts | alarm | hidden cause in what is reported | first | named alone |"
-    yield "|---|---|---|---|---|---|"
-    for low in (0.0, 1 / 3, 2 / 3):
-        for least, most in ((0, 20), (20, 80), (80, 600)):
-            alike = [row for row in faulty if low <= row["severity"] < low + 1 / 3]
-            own = [row for row in alike if least <= row["shifts"] < most]
-            alarm = sum(row["verdict"] in ALARMS for row in own)
-            held = sum(row["hidden"] in row["reported"] for row in own)
-            first = sum(row["best"] == row["hidden"] for row in own)
-            named = sum(row["verdict"] == "named" and row["best"] == row["hidden"] for row in own)
-            yield (
-                f"| {low:.2f} to {low + 1 / 3:.2f} | {least} to {most} | {share(alarm, len(own))} "
-                f"| {share(held, len(own))} | {share(first, len(own))} | {share(named, len(own))} |"
-            )
-
-
-def measure(
-    logs: int = 200,
-    first: int = 1000,
-    store: Path = Path("truck_logs.jsonl"),
-    most: int = 500,
-    layouts: tuple[str, ...] = ("steady", "varying", "silent", "both", "air"),
-) -> Iterator[str]:
-    """Judge drawn logs of 10 to `most` shifts, a quarter of them healthy; add results to `store`."""
-    for seed in range(first, first + logs):
-        generator = np.random.default_rng([seed, 3])
-        severity = None if seed % 4 == 0 else float(generator.uniform())
-        count = int(10.0 * (most / 10.0) ** float(generator.uniform()))
-        layout = layouts[(seed // 4 + seed % 4) % len(layouts)]
-        with TemporaryDirectory() as folder:
-            found = one(seed, count, severity, Path(folder), layout)
-        with store.open("a") as file:
-            file.write(json.dumps(found) + "\n")
-    yield from table([json.loads(line) for line in store.read_text().splitlines()])
-
-
 TRIP_S = 3600
 
 

@@ -46,14 +46,6 @@ ROWS = {
 }
 
 
-@pytest.fixture(scope="module")
-def nominal_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Shifts of the nominal truck."""
-    path = tmp_path_factory.mktemp("truck") / "nominal.log"
-    truck_log(path, 3, 5, nominal=True)
-    return path
-
-
 def cut(path: Path, mapping: SignalMapping | None = None) -> list[RecordedShift]:
     return list(shifts_of(str(path), load("nominal"), mapping, Counter()))
 

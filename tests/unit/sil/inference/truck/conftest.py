@@ -12,15 +12,6 @@ from sil.inference.truck.diagnosis import rest_noise_m
 from sil.inference.truck.fit import FINE_M, Fit, Fitter
 from sil.inference.truck.simulator import ShiftModel
 from sil.log_replay.recorded_shifts import RecordedShift, shifts_of
-from tests.support.truck_logs import truck_log
-
-
-@pytest.fixture(scope="session")
-def nominal_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Shifts of the nominal truck."""
-    path = tmp_path_factory.mktemp("truck") / "nominal.log"
-    truck_log(path, 3, 5, nominal=True)
-    return path
 
 
 @pytest.fixture(scope="session")
