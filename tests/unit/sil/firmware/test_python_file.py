@@ -53,7 +53,9 @@ def test_a_process_that_died_between_two_runs_is_replaced_and_leaves_no_open_fil
     program = f"import os\nopen({str(server)!r}, 'w').write(str(os.getppid()))\n{OURS}"
     scenario = load(str(scenario_with(tmp_path, program, "own.py:Mine")))
     first = run_in_memory(scenario)
-    os.kill(int(server.read_text()), signal.SIGKILL)
+    number = int(server.read_text())
+    os.kill(number, signal.SIGKILL)
+    os.waitid(os.P_PID, number, os.WEXITED | os.WNOWAIT)
     assert run_in_memory(scenario).trace_sha256 == first.trace_sha256
     gc.collect()  # an open file would warn, and warnings are errors
 
