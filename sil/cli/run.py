@@ -183,7 +183,8 @@ def _continue(arguments: argparse.Namespace) -> int:
     from sil.simulation.runner import resume
 
     given = (arguments.scenario, arguments.model, arguments.seed, arguments.save_at)
-    if {*given} != {None} or arguments.settings or arguments.effects:
+    is_given = any(value is not None for value in given)
+    if is_given or arguments.settings or arguments.effects:
         raise InputError("--from: with a scenario or other values; expected the saved state alone")
     loop = load(arguments.state)
     folder = prepare_folder(arguments.out, loop.loaded.scenario.name, arguments.force)

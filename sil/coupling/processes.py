@@ -101,8 +101,9 @@ def sharing_one_core(pids: Sequence[int]) -> Iterator[int | None]:
     try:
         is_free = len(allowed) > 1 and core in allowed
         try:
-            for pid in (0, *pids) if is_free else ():
-                os.sched_setaffinity(pid, {core})
+            if is_free:
+                for pid in (0, *pids):
+                    os.sched_setaffinity(pid, {core})
         except (PermissionError, ProcessLookupError):  # one is not ours, or has ended
             is_free = False
         yield core if is_free else None

@@ -105,15 +105,17 @@ class OwnController:
                 prefix = "" if self.name == "controller" else f"{self.name}: "
                 raise InputError(f"{prefix}{content}")
             if kind == "ended":
-                killed = content < 0 and f"killed by {signal.Signals(-content).name}"
-                content = f"{self._place()}: its process ended: {killed or f'exit({content})'}"
+                how = f"exit({content})"
+                if content < 0:
+                    how = f"killed by {signal.Signals(-content).name}"
+                content = f"{self._place()}: its process ended: {how}"
             raise ParticipantLost(self.name, f"failed: {content}")
-        except (OSError, EOFError):
-            what = f"failed: {self._path}: its process was killed"
-            raise ParticipantLost(self.name, what) from None
-        except BaseException:
+        except BaseException as error:
             server.kill()
             self._server = None
+            if isinstance(error, OSError | EOFError):
+                what = f"failed: {self._path}: its process was killed"
+                raise ParticipantLost(self.name, what) from None
             raise
 
     def _place(self) -> str:

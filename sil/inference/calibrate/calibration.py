@@ -252,8 +252,10 @@ def calibrate(
     try:
         channels = held_out(model, progress)
         for name, channel in channels.items():
+            if channel.discrepancy <= 0.0:
+                continue
             left = {"discrepancy": channel.discrepancy, "discrepancy_time": channel.time_s}
-            for section, value in left.items() if channel.discrepancy > 0.0 else ():
+            for section, value in left.items():
                 path = f"{section}.{name}"
                 fresh[path] = Parameter(value, UNITS[path], "rms on held-out strokes")
         wide, _findings = observed(campaign, replace(sheet, entries=fresh))
