@@ -458,7 +458,8 @@ class Fitter:
         """Return a fit in which the shifts farthest off have begun anew from random loads, where that is better.
 
         A shift may end in a minimum of its own, teeth that part too early, say, from which the truck's
-        quantities do not lead it; what is shared stays as it is until all are fitted again.
+        quantities do not lead it; what is shared stays as it is until all are fitted again. Its loads may
+        differ from the others' as much as loads ever do: they come together afterwards.
         """
         fit = self.evaluated(fit, FINE_M)
         assert fit.per_shift is not None
@@ -469,14 +470,22 @@ class Fitter:
             return fit
         starts = STEPS.starts
         alone = Fitter(self.model.only(np.repeat(stuck, starts)), self.measured_noise_m)
-        anew = replace(fit, spread=np.maximum(fit.spread, 1.0))
+        spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
+        anew = replace(fit, spread=spread)
         anew = alone.settled(alone.begun_anew(anew, rng), STEPS.settling)
         assert anew.per_shift is not None
         cost = (anew.per_shift + _own_cost(anew.each, anew.spread)).reshape(-1, starts)
         each = fit.each.copy()
         each[stuck] = anew.each[np.arange(len(stuck)) * starts + np.argmin(cost, axis=1)]
-        anew = self.improved(replace(anew, each=each), FINE_M, 8)
-        return anew if anew.cost < fit.cost else fit
+        anew = self.improved(replace(fit, spread=spread, each=each), FINE_M, 8)
+        anew = self.improved(self._with_scales(anew), FINE_M, 8)
+        before = self._with_scales(fit)
+        return min(anew, before, key=self._whole_cost)
+
+    def _whole_cost(self, fit: Fit) -> float:
+        """Return the cost of a fit, with what its scales cost."""
+        scales = self.count * np.log(fit.noise_factor) + (self.mask * np.log(fit.spread)).sum()
+        return fit.cost + float(scales)
 
     def begun_anew(self, fit: Fit, rng: Rng) -> Fit:
         """Return a fit with the best of random quantities for each shift, its loads anywhere."""
