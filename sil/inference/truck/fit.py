@@ -123,22 +123,25 @@ class System(NamedTuple):
     own: Floats
     own_gradient: Floats
 
-    def step(self, damping: float, shared: bool = True) -> tuple[Floats, Floats]:
-        """Return the damped step of the shared quantities [shared] and of each shift's [shifts, differing].
-
-        shared: whether the shared ones move.
-        """
-        diagonal = np.einsum("kii->ki", self.own)
-        inverse = np.linalg.inv(
-            self.own + damping * diagonal[:, :, None] * np.eye(len(self.own[0]))
-        )
+    def step(self, damping: float) -> tuple[Floats, Floats]:
+        """Return the damped step of the shared quantities [shared] and of each shift's [shifts, differing]."""
+        inverse = self._own_inverse(damping)
         reach = self.coupling @ inverse
         normal = self.shared + damping * np.diag(np.diag(self.shared))
         normal = normal - np.einsum("kpi,kqi->pq", reach, self.coupling)
         gradient = self.shared_gradient - np.einsum("kpi,ki->p", reach, self.own_gradient)
-        moved = np.linalg.solve(normal, gradient) if shared else np.zeros_like(gradient)
+        moved = np.linalg.solve(normal, gradient)
         rest = self.own_gradient - np.einsum("kpi,p->ki", self.coupling, moved)
         return moved, np.einsum("kij,kj->ki", inverse, rest)
+
+    def own_step(self, damping: float) -> Floats:
+        """Return the damped step of each shift's quantities [shifts, differing], the shared ones kept."""
+        return np.einsum("kij,kj->ki", self._own_inverse(damping), self.own_gradient)
+
+    def _own_inverse(self, damping: float) -> Floats:
+        diagonal = np.einsum("kii->ki", self.own)[:, :, None] * np.eye(self.own.shape[1])
+        inverse: Floats = np.linalg.inv(self.own + damping * diagonal)
+        return inverse
 
     @property
     def marginal(self) -> Floats:
@@ -510,7 +513,7 @@ class Fitter:
             side = (1.0, -1.0)[turn % 2]
             derivatives = self.derivatives(fit, 0.1 if turn else 0.3, (side,), shared=False)
             system = self.system(fit, derivatives, variance)
-            steps = [system.step(damping, shared=False)[1] for damping in STEPS.dampings]
+            steps = [system.own_step(damping) for damping in STEPS.dampings]
             trials = [fit.each, *(fit.each + step for step in (STEPS.short * steps[0], *steps))]
             each = np.clip(trials, -STEPS.farthest_sd, STEPS.farthest_sd) * self.mask
             which = np.tile(rows, len(each))

@@ -47,9 +47,11 @@ def test_what_differs_between_shifts_of_a_healthy_truck_is_no_fault(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [21, 22])
-def test_drawn_healthy_trucks_are_not_accused(seed: int, tmp_path: Path) -> None:
-    assert of(drawn_set(tmp_path, seed)).kind == "consistent"
+@pytest.mark.parametrize(("seed", "shifts"), [(21, None), (22, None), (3002, 12)])
+def test_drawn_healthy_trucks_are_not_accused(
+    seed: int, shifts: int | None, tmp_path: Path
+) -> None:
+    assert of(drawn_set(tmp_path, seed, shifts=shifts)).kind == "consistent"
 
 
 @pytest.mark.slow

@@ -30,6 +30,9 @@ def test_a_step_is_that_of_the_whole_matrix(damping: float) -> None:
     step = np.linalg.solve(whole + damping * np.diag(np.diag(whole)), gradient)
     shared, own = system.step(damping)
     assert np.concatenate([shared, own.ravel()]) == pytest.approx(step)
+    alone = whole[3:, 3:] + damping * np.diag(np.diag(whole[3:, 3:]))
+    expected = np.linalg.solve(alone, system.own_gradient.ravel())
+    assert system.own_step(damping).ravel() == pytest.approx(expected)
 
 
 def test_the_marginal_information_is_that_of_the_whole_matrix() -> None:
