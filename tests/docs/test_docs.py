@@ -22,6 +22,7 @@ from tests.conftest import ROOT
 from tests.docs.pages import DOCS, PAGES, prose
 
 
+@pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run(
         [
