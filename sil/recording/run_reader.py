@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from array import array
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -17,41 +17,18 @@ from can_dbc.errors import InputError
 from can_dbc.user_file import parse_json
 from sil.coupling.clock import NS_PER_S
 from sil.recording.recorder import BUS_FRAMES, EVENTS, PLANT_TRACE, TRACE_FORMAT
-from sil.recording.run_record import STORED_FRAME, PlantEvent, RunRecord, StoredFrames
-
-PIECE_S = 60.0
-"""A run up to this long is one piece, if it has at most about a million rows of the trace."""
+from sil.recording.run_record import STORED_FRAME, PlantEvent, RunRecord, StoredFrames, piece_spans
 
 
-class RowReader:
-    """Rows of fixed size in a file, by their index, also while it is written.
+def stored_rows(path: Path, kind: np.dtype[Any], begin: int = 0) -> NDArray[Any]:
+    """Return the rows of a file from a byte on without a torn last one: [rows], read when used."""
+    rows = (path.stat().st_size - begin) // kind.itemsize
+    return np.memmap(path, kind, "r", begin, (rows,)) if rows else np.empty(0, kind)
 
-    A torn last row is ignored.
-    """
 
-    def __init__(self, path: Path, kind: np.dtype[Any], ordered_by: str, begin: int = 0) -> None:
-        """Take a file with rows of a structured type, ascending in one field, from a byte on."""
-        self.kind = kind
-        self._path = path
-        self._ordered_by = ordered_by
-        self._begin = begin
-        self.rows = (path.stat().st_size - begin) // kind.itemsize
-
-    def read(self, begin: int, end: int) -> NDArray[Any]:
-        """Return rows begin to end - 1 as a structured array: [rows]."""
-        offset = self._begin + begin * self.kind.itemsize
-        return np.fromfile(self._path, self.kind, end - begin, offset=offset)
-
-    def first_from(self, value: float) -> int:
-        """Return the index of the first row that is at `value` or more in the order of the file."""
-        return bisect_left(
-            range(self.rows), value, key=lambda k: self.read(k, k + 1)[self._ordered_by][0]
-        )
-
-    def between(self, begin: float, end: float) -> NDArray[Any]:
-        """Return the rows from `begin` to before `end` in the order of the file: [rows]."""
-        first = 0 if begin <= 0.0 else self.first_from(begin)
-        return self.read(first, self.rows if end == np.inf else self.first_from(end))
+def _between(rows: NDArray[Any], ascending: str, start: float, end: float) -> NDArray[Any]:
+    """Return the rows from `start` to before `end` in an ascending column: [rows]."""
+    return np.array(rows[slice(*(bisect_left(rows[ascending], at) for at in (start, end)))])
 
 
 class _Header(msgspec.Struct):
@@ -59,15 +36,15 @@ class _Header(msgspec.Struct):
     columns: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
 
 
-def open_trace(path: Path) -> RowReader:
-    """Return the reader of a trace.  Raises InputError for a file that is not a trace."""
+def open_trace(path: Path) -> NDArray[Any]:
+    """Return the rows of a trace: [rows].  Raises InputError for a file that is not a trace."""
     with open(path, "rb") as file:
         line = file.readline(65536)
     try:
         if line.endswith(b"\n"):
             columns = msgspec.json.decode(line, type=_Header).columns
             kind = np.dtype([(name, "<f8") for name in columns])
-            return RowReader(path, kind, columns[0], len(line))
+            return stored_rows(path, kind, len(line))
     except (msgspec.MsgspecError, RecursionError, ValueError):
         pass
     raise InputError(
@@ -86,7 +63,7 @@ def event_of(line: bytes, location: str) -> PlantEvent:
 
 
 class RunReader:
-    """The recordings of a run in a folder; use as a context manager."""
+    """The recordings of a run in a folder."""
 
     def __init__(
         self,
@@ -103,48 +80,48 @@ class RunReader:
         self._constants = constants
         self._senders = senders
         self._trace = open_trace(folder / PLANT_TRACE)
-        self._frames = RowReader(folder / BUS_FRAMES, STORED_FRAME, "arrival")
-        self.piece_s = min(PIECE_S, 1e6 * trace_period_s)
-        self.rows = self._trace.rows
-        self.end_s = float(self._trace.read(self.rows - 1, self.rows)[0][0]) if self.rows else 0.0
-        self.pieces = int(self.end_s // self.piece_s) + 1 if self.end_s > self.piece_s else 1
-        self._events = open(folder / EVENTS, "rb")  # noqa: SIM115 - closed by __exit__
+        self._frames = stored_rows(folder / BUS_FRAMES, STORED_FRAME)
+        self.rows = len(self._trace)
+        self.end_s = float(self._trace[-1][0]) if self.rows else 0.0
+        self._bounds = piece_spans(self.end_s, trace_period_s)
+        self._events_file = str(folder / EVENTS)
+        self._event_bytes = stored_rows(folder / EVENTS, np.dtype("u1"))
         self.balances: Mapping[str, Any] = {}
-        self._spans = self._read_events()
-        self._whole: RunRecord | None = None
+        times, ends = array("d"), array("q", [0])
+        with open(folder / EVENTS, "rb") as lines:
+            for line in lines:
+                if not line.endswith(b"\n"):
+                    break  # torn
+                event = event_of(line, self._events_file)
+                if event.name == "balance" and not self.balances:
+                    self.balances = event.values
+                times.append(event.time_s)
+                ends.append(ends[-1] + len(line))
+        self._event_times, self._event_ends = np.array(times), ends
 
-    def __enter__(self) -> RunReader:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._events.close()
+    @cached_property
+    def first(self) -> RunRecord:
+        """The first piece of the run; all of it, if it has but one."""
+        return self._record(*self._bounds[0])
 
     def __iter__(self) -> Iterator[RunRecord]:
         """Yield the pieces in order of time: each frame, row and event is in one of them."""
-        return map(self.piece, range(self.pieces))
-
-    def piece(self, number: int) -> RunRecord:
-        """Return one piece of the run; all of it, if it has but one."""
-        if self._whole is not None:
-            return self._whole
-        start = -np.inf if number == 0 else number * self.piece_s
-        end = np.inf if number == self.pieces - 1 else (number + 1) * self.piece_s
-        record = self._record(start, end, end)
-        if self.pieces == 1:
-            self._whole = record
-        return record
+        yield self.first
+        for bounds in self._bounds[1:]:
+            yield self._record(*bounds)
 
     def span(self, start_s: float, until_s: float) -> RunRecord:
         """Return the record from `start_s` to `until_s`, and a second more on either side."""
-        if self.pieces == 1:
-            return self.piece(0)
-        latest_s = until_s + 1.0 + self._longest_way_ns / NS_PER_S
-        return self._record(start_s - 1.0, until_s + 1.0, latest_s)
+        if len(self._bounds) == 1:
+            return self.first
+        way_s = self._longest_way_ns / NS_PER_S
+        return self._record(start_s - 1.0, until_s + 1.0, way_s)
 
-    def _record(self, start_s: float, end_s: float, last_arrival_s: float) -> RunRecord:
-        """Return rows and events from start to before end, frames to before the last arrival."""
-        rows = self._trace.between(start_s, end_s)
-        frames = self._frames.between(start_s * NS_PER_S, last_arrival_s * NS_PER_S)
+    def _record(self, start_s: float, end_s: float, way_s: float = 0.0) -> RunRecord:
+        """Return rows and events from start to before end, frames that arrive up to `way_s` later."""
+        rows = _between(self._trace, "time_s", start_s, end_s)
+        until_ns = (end_s + way_s) * NS_PER_S
+        frames = _between(self._frames, "arrival", start_s * NS_PER_S, until_ns)
         return RunRecord(
             truth={name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()},
             events=self._events_between(start_s, end_s),
@@ -156,33 +133,14 @@ class RunReader:
     def _longest_way_ns(self) -> int:
         """The longest time from the release of a frame to its arrival, ns."""
         frames, step = self._frames, 1 << 18
-        begins = range(0, frames.rows, step)
-        pieces = (frames.read(begin, min(begin + step, frames.rows)) for begin in begins)
+        pieces = (frames[begin : begin + step] for begin in range(0, len(frames), step))
         return max((int((p["arrival"] - p["released"]).max()) for p in pieces), default=0)
 
-    def _read_events(self) -> dict[int, tuple[int, int]]:
-        """Return the byte range of each piece's events in the file, and store the balances."""
-        spans: dict[int, tuple[int, int]] = {}
-        begin = 0
-        for line in self._events:
-            if not line.endswith(b"\n"):
-                break  # torn
-            event = event_of(line, self._events.name)
-            if event.name == "balance" and not self.balances:
-                self.balances = event.values
-            number = min(int(event.time_s // self.piece_s), self.pieces - 1)
-            end = begin + len(line)
-            spans[number] = (spans.get(number, (begin, end))[0], end)
-            begin = end
-        return spans
-
     def _events_between(self, start_s: float, end_s: float) -> list[PlantEvent]:
-        low = 0 if start_s <= 0.0 else int(start_s // self.piece_s)
-        high = self.pieces - 1 if end_s == np.inf else int(end_s // self.piece_s)
-        spans = [self._spans[n] for n in range(low, high + 1) if n in self._spans]
-        if not spans:
+        times, ends = self._event_times, self._event_ends
+        wanted = np.flatnonzero((times >= start_s) & (times < end_s))
+        if not len(wanted):
             return []
-        begin, end = min(span[0] for span in spans), max(span[1] for span in spans)
-        lines = os.pread(self._events.fileno(), end - begin, begin).split(b"\n")[:-1]
-        events = [event_of(line, self._events.name) for line in lines]
+        lines = self._event_bytes[ends[wanted[0]] : ends[wanted[-1] + 1]].tobytes().splitlines()
+        events = [event_of(line, self._events_file) for line in lines]
         return [event for event in events if start_s <= event.time_s < end_s]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +26,9 @@ M = TypeVar("M")
 CHAMBERS = ("B", "N", "F")
 OPEN_ABOVE = 0.34
 """A commanded duty above this is meant to open (closed at or below 0.33, open at or above 0.35)."""
+
+PIECE_S = 60.0
+"""A run up to this long is one piece, if it has at most about a million rows of the trace."""
 
 STORED = struct.Struct("<QQIBB8s")
 """A frame on disk: released and arrival [ns], identifier, length, number of its sender, data."""
@@ -73,6 +78,13 @@ class PlantEvent:
     values: Mapping[str, Any] = field(default_factory=dict)
 
 
+def piece_spans(end_s: float, trace_period_s: float) -> list[tuple[float, float]]:
+    """Return from when to before when each piece of a run lasts, s; the rules see a piece at a time."""
+    piece_s = min(PIECE_S, 1e6 * trace_period_s)
+    inner = [piece_s * k for k in range(1, int(end_s // piece_s) + 1)] if end_s > piece_s else []
+    return list(pairwise((-math.inf, *inner, math.inf)))
+
+
 @dataclass(frozen=True)
 class RunRecord:
     """The truth (columns over time_s), the plant's events and every frame of one run."""
@@ -111,6 +123,17 @@ class RunRecord:
     def derived(self) -> dict[Any, Any]:
         """What has been concluded from the record and is asked for again, by what it is."""
         return {}
+
+    def between(self, start_s: float, end_s: float) -> RunRecord:
+        """Return the rows and events from start to before end, and the frames that arrive then."""
+        if (start_s, end_s) == (-math.inf, math.inf):
+            return self
+        start_ns, end_ns = start_s * NS_PER_S, end_s * NS_PER_S
+        rows = slice(*np.searchsorted(self.truth["time_s"], (start_s, end_s)))
+        truth = {name: column[rows] for name, column in self.truth.items()}
+        events = [event for event in self.events if start_s <= event.time_s < end_s]
+        frames = [entry for entry in self.frames if start_ns <= entry.arrival_ns < end_ns]
+        return replace(self, truth=truth, events=events, frames=frames)
 
     def frames_of(self, can_id: int) -> Collection[BusFrame]:
         """Return the frames of one identifier, in order of arrival."""

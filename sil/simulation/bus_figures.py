@@ -17,7 +17,6 @@ from sil.files.quantity import quantity
 from sil.j1939.management import NAME_FUNCTIONS, active_faults, address_claim
 from sil.j1939.transport import BAM_PERIOD_NS
 from sil.nodes.vehicle import PERIODS_NS as VEHICLE_NS
-from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario
 
 COUNTS = ("frames", "error_frames", "lost", "overwritten", "dropped_bus_off", "dropped_full")
@@ -115,15 +114,3 @@ def overload(figures: dict[str, Any]) -> list[str]:
         f"frames wait and newer ones overwrite them: {names} are sent every "
         f"{quantity(fastest_s, 's')}; raise bus.bitrate, or the periods of sensor and controller"
     ]
-
-
-def response_check(scenario: Scenario, figures: dict[str, Any]) -> list[Check]:
-    """Return the check that no frame exceeded its worst case, unless faults or others send."""
-    if scenario.fault or scenario.bus.extra_load > 0.0 or scenario.bus.guest:
-        return []
-    late = []
-    for m in figures["messages"]:
-        longest_s, worst_s = m["longest_response_s"], m["worst_case_s"]
-        if longest_s is not None and (worst_s is None or longest_s > worst_s):
-            late.append(m["name"])
-    return [Check(name="frames later than their worst case", passed=not late, value=late, limit=[])]

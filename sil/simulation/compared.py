@@ -12,8 +12,9 @@ from msgspec.structs import asdict, replace
 
 from sil.files.quantity import quantity, unit_of
 from sil.simulation.circumstances import circumstances
-from sil.simulation.expectations import RULES_BROKEN, Expectations, Observed, evaluate
+from sil.simulation.expectations import Expectations
 from sil.simulation.in_memory import run_in_memory
+from sil.simulation.judgement import RULES_BROKEN, Observed, evaluate
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.metrics import METRICS
 from sil.simulation.results import Check

@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 import time
+from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -206,12 +207,13 @@ class FreeRun:
             return
         late_s = (int(zero.read_text()) - self._zero_ns) / NS_PER_S
         rows = open_trace(trace)
-        first = rows.first_from(-late_s)
-        beyond = rows.first_from(np.nextafter(self._loaded.scenario.duration_s - late_s, np.inf))
+        last_s = self._loaded.scenario.duration_s - late_s
+        first = bisect_left(rows["time_s"], -late_s)
+        beyond = bisect_right(rows["time_s"], last_s)
         aligned = trace.with_suffix(".aligned")
-        with TraceWriter(aligned, rows.kind.names or ()) as file:
+        with TraceWriter(aligned, rows.dtype.names or ()) as file:
             for begin in range(first, beyond, _ROWS_AT_ONCE):
-                block = rows.read(begin, min(begin + _ROWS_AT_ONCE, beyond))
+                block = np.array(rows[begin : min(begin + _ROWS_AT_ONCE, beyond)])
                 block["time_s"] += late_s
                 file.append(block.tobytes())
         aligned.replace(trace)

@@ -18,13 +18,14 @@ import numpy as np
 from can_dbc.errors import InputError
 from can_dbc.user_file import parse_json, read_user_file
 from plant.node import PlantNode
+from plant.trace import trace_columns
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.transports.channel import InProcess
 from sil.files.atomic import write_atomically
-from sil.recording.run_record import PlantEvent
+from sil.recording.run_record import PlantEvent, RunRecord
 from sil.simulation import build
 from sil.simulation.inputs import PACKAGES, program_hash
 from sil.simulation.load_scenario import Loaded, from_table
@@ -83,6 +84,16 @@ class Loop:
         """Run to the end and close the participants. Raises RunError if one fails."""
         with self.lockstep as lockstep:
             return lockstep.run()
+
+    def record(self) -> RunRecord:
+        """Return what was recorded so far."""
+        rows, columns = np.concatenate(self.trace), trace_columns(self.loaded.scenario.plant.drive)
+        return RunRecord(
+            truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(columns)},
+            events=self.events,
+            frames=self.frames,
+            **build.constants(self.loaded),
+        )
 
     @cached_property
     def _state(self) -> State:

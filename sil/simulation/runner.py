@@ -43,11 +43,11 @@ from sil.recording.run_record import RunRecord
 from sil.recording.trace_csv import TraceCsv
 from sil.rules import Rule
 from sil.rules.shipped import RULES
-from sil.simulation import build, expectations, metrics
+from sil.simulation import build, metrics
 from sil.simulation.build import SCENARIO, SENDERS, Say
-from sil.simulation.bus_figures import bus_figures, overload, response_check
+from sil.simulation.bus_figures import bus_figures, overload
 from sil.simulation.circumstances import circumstances
-from sil.simulation.in_memory import checks_of
+from sil.simulation.judgement import Observed, judge
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.loop import Loop
 from sil.simulation.results import Check, Result, versions, write_result
@@ -233,34 +233,25 @@ def _judge(
     warnings = [*contradictions(scenario), *overload(bus)]
     for line in warnings:
         say(f"warning: {line}")
-    with contextlib.ExitStack() as closing:
-        recorded = None
-        if (folder / PLANT_TRACE).exists():
-            constants, period_s = build.constants(loaded), scenario.trace_period_s
-            reader = RunReader(folder, SENDERS, constants=constants, trace_period_s=period_s)
-            recorded = closing.enter_context(reader)
-        try:
-            if recorded is not None and recorded.rows > 1:
-                path = folder / "trace.csv"
-                observed, shifts, switchings, checked = _figures(scenario, rules, recorded, path)
-            else:
-                recorded = None
-        except OSError as error:  # no room for trace.csv: plant.trace stays instead
-            recorded, why = None, why or os_error_text(error)
-        if recorded is not None:
-            bus["end_to_end"] = checked.counts()
-            record, balances = recorded.piece(0), dict(recorded.balances)
-            figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, log.frames)
-            figures |= cost_metrics(cost)
-            if why is None:
-                lockstep = "mode" not in bus  # a free-running bus has no simulated arbitration
-                checks = checks_of(loaded, observed, shifts, figures, lockstep=lockstep)
-                closed = balances.get("closed") == 1.0
-                state = ("closed" if closed else "open") if balances else None
-                balance = "mass and energy balances"
-                checks.append(Check(name=balance, passed=closed, value=state, limit="closed"))
-                if lockstep:
-                    checks += response_check(scenario, bus)
+    recorded = None
+    if (folder / PLANT_TRACE).exists():
+        constants, period_s = build.constants(loaded), scenario.trace_period_s
+        recorded = RunReader(folder, SENDERS, constants=constants, trace_period_s=period_s)
+    try:
+        if recorded is not None and recorded.rows > 1:
+            path = folder / "trace.csv"
+            observed, shifts, switchings, checked = _figures(scenario, rules, recorded, path)
+        else:
+            recorded = None
+    except OSError as error:  # no room for trace.csv: plant.trace stays instead
+        recorded, why = None, why or os_error_text(error)
+    if recorded is not None:
+        bus["end_to_end"] = checked.counts()
+        record, balances = recorded.first, dict(recorded.balances)
+        figures = metrics.summary(shifts, balances.get("air_in_kg"), switchings, log.frames)
+        figures |= cost_metrics(cost)
+        if why is None:
+            checks = judge(loaded, observed, shifts, figures, balances, bus)
     if why is None and record is None:
         why = f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
     complete = why is None and summary is not None
@@ -301,9 +292,9 @@ def _judge(
 
 def _figures(
     scenario: Scenario, rules: Sequence[Rule], recorded: RunReader, path: Path
-) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
+) -> tuple[Observed, list[metrics.Shift], int, EndToEnd]:
     """Write the trace of a run, and collect observations and shifts, piece by piece."""
-    observed, checked = expectations.Observed(circumstances(scenario), rules=rules), EndToEnd()
+    observed, checked = Observed(circumstances(scenario), rules=rules), EndToEnd()
     gear, switchings = build.gear_of(scenario.initial_gear), 0
     changes: list[tuple[float, Gear, Gear]] = []
     with open_atomically(path) as file:

@@ -45,7 +45,9 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
 
     detected_after_s: from the first fault's start to the first report of a new one. coils_off_after_s: to the
     last coil's switching off. reported_gear: valid at the end. both_filled_s: how long B and F were both
-    filled. half_engaged: 1 if the stay ended between its gears.
+    filled. half_engaged: 1 if the stay ended between its gears. orphan_energised_s: how long a coil was
+    energised without a living controller. false_gear_s: the longest time for which a gear was reported
+    that the stay was not in.
     """
     start = fault_start_s(scenario)
     truth = record.truth
@@ -66,6 +68,8 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     end = float(position[-1])
     end_gear = gear_at(end, record.stroke_m, windows.gear_tolerance_m, windows.neutral_tolerance_m)
     impacts = [abs(float(e.values["speed_m_s"])) for e in record.events if e.name == "stay_stop"]
+    step_s = float(np.median(np.diff(time_s)))
+    orphaned_rows = orphaned(record, circumstances(scenario))
     # absolute pressure that moves the stay against its friction
     both = (truth["pressure_B_pa"] > 3e5) & (truth["pressure_F_pa"] > 3e5)
     return {
@@ -77,25 +81,11 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "reported_gear": reported_gear,
         "energised_at_end": float(energised[-1]),
         "worst_impact_m_s": max(impacts, default=math.nan),
-        "both_filled_s": float(np.count_nonzero(both)) * _step_s(record),
+        "both_filled_s": float(np.count_nonzero(both)) * step_s,
         "half_engaged": float(end_gear == Gear.UNKNOWN),
-        "orphan_energised_s": orphan_energised_s(record, scenario),
-        "false_gear_s": false_gear_s(record, scenario),
+        "orphan_energised_s": float(np.count_nonzero(orphaned_rows)) * step_s,
+        "false_gear_s": longest_run(falsely_reported(record, windows)) * step_s,
     }
-
-
-def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
-    """Return for how long in s the valve driver energised a coil without a living controller."""
-    return float(np.count_nonzero(orphaned(record, circumstances(scenario)))) * _step_s(record)
-
-
-def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
-    """Return the longest time in s for which a gear was reported that the stay was not in."""
-    return longest_run(falsely_reported(record, scenario.controller.windows)) * _step_s(record)
-
-
-def _step_s(record: RunRecord) -> float:
-    return float(np.median(np.diff(record.truth["time_s"])))
 
 
 class FaultSpan(NamedTuple):

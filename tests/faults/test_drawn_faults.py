@@ -115,7 +115,7 @@ def test_repeated_commands_of_a_dead_controller_hold_no_valve(delay_s: float) ->
         loaded = from_table(base("N-B") | {"fault": [dead, fault]}, "test")
         record = run_in_memory(loaded).record
         assert repeated_taken(record, message) > 0 and (record.truth["cmd_B"] > 0.5).any()
-        assert safety.orphan_energised_s(record, loaded.scenario) == 0.0
+        assert safety.figures(record, loaded.scenario)["orphan_energised_s"] == 0.0
 
 
 def test_every_scenario_is_in_the_table() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pkgutil
 import subprocess
 import sys
@@ -36,18 +35,12 @@ commands = [[0.02, "B", 0.98], [0.2, "B", 0.0]]
 """
 
 
-def test_run_is_the_command(tmp_path: Path) -> None:
+def test_run_returns_checks_signals_and_frames() -> None:
     found = api.run("lab_n_b", {"controller.filter": False})
-    words = ["run", "lab_n_b", "--set", "controller.filter=false", "--no-report", "--strict"]
-    main([*words, "--out", f"{tmp_path}/r"])
-    output = json.loads((tmp_path / "r" / "result.json").read_text())
-    assert found.trace_sha256 == output["trace_sha256"]
-    assert found.passed is output["passed"] is False
-    assert found.metrics["impact_speed_m_s"] == output["metrics"]["impact_speed_m_s"]
     assert found.signals["position_m"].max() == pytest.approx(0.01285)
     assert len(found.estimate[0]) == len(found.estimate[1]) > 10
-    assert len(found.frames) == output["metrics"]["frames"]
-    assert repr(found).startswith("Run(failed, 19 of 23 checks met, 1 shift in 51.1")
+    assert len(found.frames) == found.metrics["frames"] > 100
+    assert repr(found).startswith("Run(failed, 21 of 25 checks met, 1 shift in 51.1")
     assert len(repr(found)) < 120 and found.warnings == []
 
 

@@ -22,10 +22,10 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from sil.coupling.bus import BusFrame
-from sil.recording import run_reader
+from sil.recording import run_record
 from sil.recording.interpolation import hermite, monotone_slopes
 from sil.recording.recorder import BusLog, EventLog, FrameWriter, TraceWriter, trace_sha256
-from sil.recording.run_reader import RowReader, event_of, open_trace
+from sil.recording.run_reader import event_of, open_trace, stored_rows
 from sil.recording.run_record import STORED_FRAME, PlantEvent, StoredFrames
 from sil.recording.runs import longest_run, true_runs
 from sil.recording.trace_csv import TraceCsv, held
@@ -88,8 +88,7 @@ def rows(count: int, start: int = 0) -> np.ndarray:
 
 
 def stored(path: Path) -> bytes:
-    trace = open_trace(path)
-    return trace.read(0, trace.rows).tobytes()
+    return open_trace(path).tobytes()
 
 
 def test_a_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
@@ -100,7 +99,7 @@ def test_a_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
         assert stored(path) == rows(4).tobytes(), "readable while it is written"
         writer.write(np.asfortranarray(rows(3, 4)))
     trace = open_trace(path)
-    assert trace.kind.names == COLUMNS and trace.rows == 7
+    assert trace.dtype.names == COLUMNS and len(trace) == 7
     assert stored(path) == rows(7).tobytes()
     special = np.array([[np.nan, -0.0, np.inf]])
     with TraceWriter(path, COLUMNS) as writer:
@@ -182,8 +181,7 @@ def test_everything_is_on_disk_when_the_writer_is_killed(tmp_path: Path) -> None
     writer.wait()
     with can.LogReader(tmp_path / "bus.log") as reader:
         frames = [int.from_bytes(message.data, "big") for message in reader]
-    trace = open_trace(trace_path)
-    steps = trace.read(0, trace.rows)[COLUMNS[0]]
+    steps = open_trace(trace_path)[COLUMNS[0]]
     assert frames == [1 + i // 5 for i in range(len(frames))]
     assert steps.tolist() == [1.0 + i // 5 for i in range(len(steps))]
     assert 0 <= len(frames) - len(steps) <= 5, "a step is complete before the next one starts"
@@ -214,15 +212,12 @@ def test_frames_come_back_and_a_torn_last_one_is_left_out(tmp_path: Path) -> Non
     frames = written(tmp_path / "bus.frames")
     content = (tmp_path / "bus.frames").read_bytes()
     (tmp_path / "bus.frames").write_bytes(content[:-1])
-    reader = RowReader(tmp_path / "bus.frames", STORED_FRAME, "arrival")
-    assert reader.rows == 19
-    stored = StoredFrames(reader.read(0, 19), SENDERS)
+    stored = StoredFrames(stored_rows(tmp_path / "bus.frames", STORED_FRAME), SENDERS)
     assert list(stored) == frames[:19]
     assert frames[3] in stored and frames[19] not in stored and len(stored) == 19
     by_id = {can_id: list(found) for can_id, found in stored.by_id().items()}
     others = [f for f in frames[:19] if f.frame.can_id == IDS[0]]
     assert by_id == {IDS[0]: others, IDS[1]: frames[4:19:5]}
-    assert [reader.first_from(at) for at in (0, 7, 8, 17, 187, 188)] == [0, 0, 1, 1, 18, 19]
 
 
 def test_rows_come_back_by_number(tmp_path: Path) -> None:
@@ -231,11 +226,7 @@ def test_rows_come_back_by_number(tmp_path: Path) -> None:
         writer.write(rows)
     with open(tmp_path / "trace", "ab") as file:
         file.write(b"torn")
-    reader = open_trace(tmp_path / "trace")
-    assert reader.rows == 10 and reader.read(2, 5).tobytes() == rows[2:5].tobytes()
-    assert [reader.first_from(value) for value in (-1.0, 0.0, 0.5, 3.0, 27.0, 28.0)] == [
-        *(0, 0, 1, 1, 9, 10)
-    ]
+    assert open_trace(tmp_path / "trace").tobytes() == rows.tobytes()
 
 
 @pytest.mark.parametrize(
@@ -245,8 +236,8 @@ def test_in_many_pieces_or_one_the_result_is_the_same(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = []
-    for piece_s in (run_reader.PIECE_S, 0.07):
-        monkeypatch.setattr(run_reader, "PIECE_S", piece_s)
+    for piece_s in (run_record.PIECE_S, 0.07):
+        monkeypatch.setattr(run_record, "PIECE_S", piece_s)
         (folder := tmp_path / str(piece_s)).mkdir()
         finished = runner.run(load_scenario.load(name), folder)
         assert finished.result.complete and finished.record is not None

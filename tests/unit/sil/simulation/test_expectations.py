@@ -10,7 +10,8 @@ from can_dbc.messages import Gear
 from controller.settings import ControlConfig
 from sil.rules import Circumstances
 from sil.simulation import metrics
-from sil.simulation.expectations import Expectations, Limits, Observed, Timing, evaluate
+from sil.simulation.expectations import Expectations, Limits, Timing
+from sil.simulation.judgement import Observed, evaluate
 from tests.support import made_run
 
 GIVEN = Circumstances(ControlConfig(), driver_timeout_s=9.0, disturbed=True)

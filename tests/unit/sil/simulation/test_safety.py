@@ -62,20 +62,22 @@ def test_an_orphan_is_found_where_the_driver_never_gives_up() -> None:
     # the figure itself is not blind: count from an earlier end of patience than the driver's own
     record, _ = ran(base("N-B") | {"fault": [dead]})
     strict = from_table(base("N-B") | {"fault": [dead], "valve_driver": {"timeout_s": 0.02}}, "t")
-    assert safety.orphan_energised_s(record, strict.scenario) == pytest.approx(0.029, abs=0.002)
+    assert safety.figures(record, strict.scenario)["orphan_energised_s"] == pytest.approx(
+        0.029, abs=0.002
+    )
 
 
 def test_a_report_of_a_gear_the_stay_is_not_in_is_found() -> None:
     record, scenario = ran(base("N-B"))
     moved = dict(record.truth) | {"position_m": np.zeros_like(record.truth["position_m"])}
     fooled = dataclasses.replace(record, truth=moved)
-    assert safety.false_gear_s(record, scenario) == 0.0
-    assert safety.false_gear_s(fooled, scenario) > 0.3
+    assert safety.figures(record, scenario)["false_gear_s"] == 0.0
+    assert safety.figures(fooled, scenario)["false_gear_s"] > 0.3
 
 
 def test_a_coil_on_while_no_command_arrives_is_an_orphan() -> None:
     record, scenario = ran(base("N-B"))
-    assert safety.orphan_energised_s(record, scenario) == 0.0
+    assert safety.figures(record, scenario)["orphan_energised_s"] == 0.0
     commands = can_id_of(ValveCommand)
     unheard = [f for f in record.frames if f.frame.can_id != commands or f.arrival_ns < 130_000_000]
     silent = dataclasses.replace(record, frames=unheard)
@@ -83,7 +85,9 @@ def test_a_coil_on_while_no_command_arrives_is_an_orphan() -> None:
     late = record.truth["time_s"] > 0.1307 + scenario.valve_driver.timeout_s + 0.001
     expected_s = 0.001 * np.count_nonzero(on & late)
     assert expected_s > 0.1
-    assert safety.orphan_energised_s(silent, scenario) == pytest.approx(expected_s, abs=0.02)
+    assert safety.figures(silent, scenario)["orphan_energised_s"] == pytest.approx(
+        expected_s, abs=0.02
+    )
 
 
 def test_what_a_receiver_may_not_believe_is_no_report() -> None:
@@ -186,5 +190,5 @@ def test_a_controller_that_is_cut_off_does_not_answer_for_its_last_report() -> N
     }
     record, scenario = ran(table)
     given = circumstances(scenario)
-    assert safety.false_gear_s(record, scenario) > given.sight_s
+    assert safety.figures(record, scenario)["false_gear_s"] > given.sight_s
     assert violations(record, given, RULES) == []
