@@ -147,14 +147,6 @@ def test_the_filter_makes_it_three_times_slower_and_growing() -> None:
     assert abs(np.mean(without["held_90"] - without["held_10"])) < 0.002
 
 
-def test_the_metric_is_the_shifts(tmp_path: Path) -> None:
-    finished = runner.run(load_scenario.load("lab_n_b"), tmp_path)
-    assert finished.shifts == run_in_memory(load_scenario.load("lab_n_b")).shifts
-    figures, (shift,) = finished.result.metrics, finished.shifts
-    assert figures["position_lag_10_s"] == shift.position_lag_10_s
-    assert isinstance(shift, metrics.Shift)
-
-
 def shift(settings: Settings = NO_SETTINGS) -> Run:
     return run_in_memory(load("lab_n_b", settings={"plant.drive": "coil", **settings}))
 
