@@ -11,7 +11,7 @@ import pytest
 
 from sil.files.overrides import NO_SETTINGS, Settings
 from sil.report.run_figure import run_figure
-from sil.simulation import load_scenario, metrics, runner
+from sil.simulation import load_scenario, runner
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import load
 from sil.simulation.runner import run
