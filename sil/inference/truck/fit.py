@@ -51,7 +51,7 @@ class Steps:
     undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
     impossible: cost of a shift that cannot be simulated. stuck: cost beyond the median from which a shift
     begins anew, at most `freed` of them at once, each from so many starts, the best of so many draws, with so
-    many rounds of settling.
+    many rounds of settling; freeing: cost that it must gain on where it was.
     """
 
     farthest_sd: float = 8.0
@@ -64,6 +64,7 @@ class Steps:
     starts: int = 8
     draws: int = 64
     settling: int = 6
+    freeing: float = 1.0
 
 
 PRIORS, STEPS = Priors(), Steps()
@@ -474,16 +475,20 @@ class Fitter:
         starts = STEPS.starts
         alone = Fitter(self.model.only(np.repeat(stuck, starts)), self.measured_noise_m)
         spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
-        anew = replace(fit, spread=spread)
-        anew = alone.settled(alone.begun_anew(anew, rng), STEPS.settling)
+        anew = alone.begun_anew(replace(fit, spread=spread), rng)
+        anew.each[::starts] = fit.each[stuck]
+        anew = alone.evaluated(alone.settled(anew, STEPS.settling), FINE_M)
         assert anew.per_shift is not None
-        cost = (anew.per_shift + _own_cost(anew.each, anew.spread)).reshape(-1, starts)
+        cost = (anew.per_shift + _own_cost(anew.each, spread)).reshape(-1, starts)
+        gains = cost[:, 0] - cost.min(axis=1) > STEPS.freeing
+        if not gains.any():
+            return fit
         each = fit.each.copy()
-        each[stuck] = anew.each[np.arange(len(stuck)) * starts + np.argmin(cost, axis=1)]
+        best = np.arange(len(stuck)) * starts + np.argmin(cost, axis=1)
+        each[stuck[gains]] = anew.each[best[gains]]
         anew = self.improved(replace(fit, spread=spread, each=each), FINE_M, 8)
         anew = self.improved(self._with_scales(anew), FINE_M, 8)
-        before = self._with_scales(fit)
-        return min(anew, before, key=self._whole_cost)
+        return min(anew, self._with_scales(fit), key=self._whole_cost)
 
     def _whole_cost(self, fit: Fit) -> float:
         """Return the cost of a fit, with what its scales cost."""
