@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from sil.inference.campaign.next_experiment import NextExperiment
     from sil.inference.campaign.observations import ObservedChannel, StrokeObservation
     from sil.inference.report import Interval
-BEFORE, AFTER = "healthy model", "extended model"
 CHANNEL_UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
 
 
@@ -57,9 +56,9 @@ def _view(stroke: StrokeObservation) -> tuple[float, float]:
 def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
     stroke = result.model.strokes[k]
     ms = MS * stroke.time_s
-    models = [(BEFORE, result.healthy, "before", False)]
+    models = [("healthy model", result.healthy, "before", False)]
     if result.final is not result.healthy:
-        models.append((AFTER, result.final, "after", True))
+        models.append(("extended model", result.final, "after", True))
     parts = [list(channel_parts(stroke, fit.blocks[k].residual)) for _n, fit, _r, _d in models]
     for n, channel in enumerate(stroke.channels):
         unit, scale = CHANNEL_UNITS[channel.kind]

@@ -27,27 +27,6 @@ Rig = Literal["actuator", "fixed", "cylinder", "force"]
 RIG_CHAMBERS: dict[Rig, str] = {"actuator": "BNF", "fixed": "12", "cylinder": "12", "force": ""}
 """What can be measured, and the chambers that have gauges and valves then."""
 
-ASKED = {
-    "position_m": "no position was found: state position_m (m) or angle_rad (rad)",
-    "force_n": "no driving force was found: state force_n (N), torque_n_m (N m), or pressure_pa (Pa) "
-    "with piston_area_m2 in [body]; a formula of columns will do, e.g. \"'p1' * 5e-4 - 'p2' * 4e-4\"",
-    "time_s": 'no time was found: state time_s, e.g. "row / 1000" for 1000 rows a second',
-}
-OF_FORCE = (
-    "does the force push towards increasing position? If not, scale = -1",
-    "is there a mass that is known? Then [body] mass_kg = ...; it is fitted otherwise",
-)
-OF_PRESSURE = (
-    "which area does pressure_pa act on, and which way? [body] piston_area_m2, negative if it pushes "
-    "towards decreasing position; without it, pressure is a condition only",
-    "gauge and absolute pressure differ by an offset only: either will do",
-)
-OF_STROKES = (
-    "atmosphere_pa and temperature_k: what were they? Standard values are assumed",
-    "supply_pressure_pa of each stroke: what did the regulator show? A charged chamber shows it",
-    "load and rest_s of each stroke: nothing coupled to it and 60 s of rest before are assumed",
-)
-
 
 def draft(
     folder: Path, files: Sequence[Path], rig: Rig | None = None, force: bool = False
@@ -132,20 +111,35 @@ def _questions(rig: Rig, channels: Sequence[RecordedColumn], level: str) -> Iter
     """Yield what files of this rig do not say."""
     ours = {channel.ours for channel in channels}
     others = {"position_m": "angle_rad", "force_n": "torque_n_m"}
-    for name, text in ASKED.items():
+    asked = {
+        "position_m": "no position was found: state position_m (m) or angle_rad (rad)",
+        "force_n": "no driving force was found: state force_n (N), torque_n_m (N m), or pressure_pa (Pa) "
+        "with piston_area_m2 in [body]; a formula of columns will do, e.g. \"'p1' * 5e-4 - 'p2' * 4e-4\"",
+        "time_s": 'no time was found: state time_s, e.g. "row / 1000" for 1000 rows a second',
+    }
+    for name, text in asked.items():
         if ours.isdisjoint({name, others.get(name, name)}) and (
             rig == "force" or name != "force_n"
         ):
             yield text
     if rig == "force":
-        yield from OF_FORCE + (OF_PRESSURE if "pressure_pa" in ours else ())
+        yield "does the force push towards increasing position? If not, scale = -1"
+        yield "is there a mass that is known? Then [body] mass_kg = ...; it is fitted otherwise"
+        if "pressure_pa" in ours:
+            yield (
+                "which area does pressure_pa act on, and which way? [body] piston_area_m2, negative if it "
+                "pushes towards decreasing position; without it, pressure is a condition only"
+            )
+            yield "gauge and absolute pressure differ by an offset only: either will do"
         return
     if level == "?":
         yield 'pressures = "gauge" or "absolute"? By their level they may count from the atmosphere'
     if not any(name.startswith("cmd_") for name in ours):
         example = f'[[0.01, "{RIG_CHAMBERS[rig][0]}", 0.98]]'
         yield f"commands of each stroke: when was which valve switched, e.g. {example}?"
-    yield from OF_STROKES
+    yield "atmosphere_pa and temperature_k: what were they? Standard values are assumed"
+    yield "supply_pressure_pa of each stroke: what did the regulator show? A charged chamber shows it"
+    yield "load and rest_s of each stroke: nothing coupled to it and 60 s of rest before are assumed"
     if rig == "cylinder":
         yield "the cylinder's data sheet: a model file with [cylinder], given as --model"
 

@@ -100,7 +100,6 @@ def _impulse_response(order: int, cutoff_hz: float, period_s: float, count: int)
     return np.asarray(impulse[1:])
 
 
-ROOT_12 = 12**0.5
 FINE_S = 2e-4
 
 
@@ -259,7 +258,7 @@ def nominal_noise(parameters: ParameterSet) -> dict[str, Noise]:
         "pressure": (value("gauge.noise_sd_air"), value("gauge.range_air") / levels),
         "oil": (value("gauge.noise_sd_oil"), value("gauge.range_oil") / levels),
     }
-    return {k: Noise(float(np.hypot(sd, step / ROOT_12)), step) for k, (sd, step) in rows.items()}
+    return {k: Noise(float(np.hypot(sd, step / 12**0.5)), step) for k, (sd, step) in rows.items()}
 
 
 def _thinned(

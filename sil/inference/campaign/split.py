@@ -11,9 +11,6 @@ import numpy as np
 
 from sil.inference.campaign.observations import StrokeObservation
 
-MOST_TRAINING = 14
-
-
 Stratum = tuple[str, str, bool, str]
 
 
@@ -24,10 +21,12 @@ def stratum(stroke: StrokeObservation) -> Stratum:
     return conditions.kind, conditions.load, charged, stroke.entry.session
 
 
-def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def split(
+    strokes: Sequence[StrokeObservation], most_training: int = 14
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the indices of training and held-out strokes; one or two strokes all train.
 
-    A third is held out, strata in turn, the first stroke of each trains; at most MOST_TRAINING train.
+    A third is held out, strata in turn, the first stroke of each trains; at most `most_training` train.
     Every rest before a stroke that occurs is among those that train, as far as there are strokes.
     """
     n = len(strokes)
@@ -42,7 +41,7 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
         for position, k in enumerate(members)
     )
     queue = [k for _position, _rank, k in ordered]
-    training = min(MOST_TRAINING, n - max(1, round(1.0 / 3.0 * n)))
+    training = min(most_training, n - max(1, round(1.0 / 3.0 * n)))
     chosen = _with_every_rest(queue[:training], queue[training:], strokes)
     return tuple(sorted(chosen)), tuple(sorted(set(range(n)) - set(chosen)))
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from plant.effects.force_term import Floats, ForceTerm, Motion
 from sil.inference.evidence import ChannelMisfit, Misfit
 from sil.inference.force.record import Recorded
-from sil.inference.force.terms import CONDITIONS, SMOOTH, Term, centred, difference, hats, terms
+from sil.inference.force.terms import SMOOTH, Term, centred, difference, hats, terms
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Explanation, Verdict, decide
 
@@ -431,8 +431,10 @@ def has_one_value(bank: Bank, item: ForceFit, group: TermGroup) -> bool:
     if group.id == UNNAMED:
         return True
     k, (value, _) = bank.columns_of(item.groups).index(group.columns[0]), item.size_of(group)
-    for condition in CONDITIONS.values():
-        values = condition(bank.record.raw)[bank.record.judged]
+    raw = bank.record.raw
+    speed, acceleration = np.abs(raw.speed_m_s), np.abs(raw.acceleration_m_s2)
+    for condition in (speed, acceleration, raw.position_m, np.abs(centred(raw))):
+        values = condition[bank.record.judged]
         middle = np.median(values)
         for rows in (values < middle, values >= middle):
             if len(np.unique(bank.fold[rows])) < 2:

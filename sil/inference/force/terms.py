@@ -84,15 +84,6 @@ SMOOTH: dict[str, tuple[str, Over, Over | None]] = {
 """Functions without a form: class, what they depend on, what they are multiplied by."""
 
 
-CONDITIONS: dict[str, Over] = {
-    "speed": lambda m: np.abs(m.speed_m_s),
-    "acceleration": lambda m: np.abs(m.acceleration_m_s2),
-    "position": lambda m: m.position_m,
-    "distance from the middle": lambda m: np.abs(centred(m)),
-}
-"""A cause that acts has one value, whatever these are."""
-
-
 def hats(values: Floats, factor: Floats | None = None) -> Floats:
     """Return hat functions over the quantiles of values [n], times a factor [n]: [n, 8]."""
     nodes = np.unique(np.quantile(values, np.linspace(0.005, 0.995, 8)))

@@ -15,13 +15,6 @@ from plant.effects.effect import Variant
 from sil.inference.candidate import scaled_of, value_of
 from sil.log_replay.recorded_shifts import RecordedShift
 
-LARGEST_SIZE = 30.0
-"""Typical sizes that are tried at most."""
-NARROW = 4.0
-"""Typical values of a restriction that counts as of size one."""
-MIN_SUPPLY_SD_PA = 2e4
-"""Standard deviation of the supply pressure from which what depends on it can be distinguished."""
-
 
 @dataclass(frozen=True, eq=False)
 class Cause:
@@ -70,8 +63,7 @@ class Cause:
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and largest physical size, in typical ones."""
-        low = 0.0 if self.sign > 0 else -LARGEST_SIZE
-        high = 0.0 if self.sign < 0 else LARGEST_SIZE
+        low, high = 0.0 if self.sign > 0 else -30.0, 0.0 if self.sign < 0 else 30.0
         if self.is_narrowing:
             return low, high
         own = self.parameter
@@ -91,7 +83,8 @@ class Cause:
     def value(self, size: float) -> float:
         """Return the parameter's value [its unit] at a size in typical ones."""
         if self.is_narrowing:
-            return min(self.parameter.high, self.parameter.typical * NARROW / max(size, 1e-3))
+            # of size one: four typical values
+            return min(self.parameter.high, self.parameter.typical * 4.0 / max(size, 1e-3))
         return value_of(self.parameter, size)
 
     def values(self, size: float) -> dict[str, float]:
@@ -127,5 +120,5 @@ def catalogue() -> list[Cause]:
 def offered(shifts: Sequence[RecordedShift]) -> list[Cause]:
     """Return the catalogue's causes, those by the supply pressure only if that is known to vary."""
     supplies = [s.supply_pa for s in shifts if not np.isnan(s.supply_pa)]
-    varies = len(supplies) > 1 and float(np.std(supplies)) > MIN_SUPPLY_SD_PA
+    varies = len(supplies) > 1 and float(np.std(supplies)) > 2e4  # Pa
     return [c for c in catalogue() if varies or not c.effect.switching or c.effect.tolerance]

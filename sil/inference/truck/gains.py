@@ -7,16 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from sil.inference.problem import Floats
 from sil.inference.truck.causes import Cause
 from sil.inference.truck.fit import FINE_M, PRIORS, STEEPEST_M, Fit, Fitter
-
-SIZES: Final = (0.4, 3.0)
-"""Typical sizes at which secants are taken."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +76,7 @@ def gains_of(fitter: Fitter, fit: Fit, causes: Sequence[Cause]) -> list[tuple[fl
     gains = []
     for cause in causes:
         best = (0.0, 0.0)
-        sizes = cause.sizes(*SIZES)
+        sizes = cause.sizes(0.4, 3.0)  # of the secants
         matrix, gradients = beside.information(secants(fitter, fit, cause, sizes))
         for size, own, gradient in zip(sizes, np.diag(matrix), gradients.tolist(), strict=True):
             there = gradient / (max(float(own), 0.0) + 1.0 / PRIORS.size_sd**2)

@@ -31,17 +31,6 @@ from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 
-FALSE_ALARM_BASIS: Final = (
-    f"posterior of a healthy truck at most {LIMITS.max_healthy_probability:g}, with priors on what differs "
-    "between healthy trucks and their shifts; measured on drawn truck logs (docs, accuracy)"
-)
-ASSUMED: Final = (
-    "The actuator is that of the model within the tolerances of its section repeatability.",
-    "Gearbox mass, linkage friction, barriers of the teeth, cone and supply are unknown within wide priors, and "
-    "differ from shift to shift.",
-    "Pulses are reported 1.5 ms after their start, and every frame as soon as the bus is free.",
-    "PlantMotion and PlantPressures are not used: a truck's bus does not have them.",
-)
 MEASURE: Final = {
     "valve timing": "the chambers' pressures at 1 kHz or more: when each begins to rise and to fall after its command",
     "internal sensor": "the position by an external sensor on the same clock",
@@ -53,8 +42,6 @@ MEASURE: Final = {
     "volume": "a chamber's pressure while it fills and empties with the stay held",
     "thermodynamics": "a chamber's pressure along a measured position",
 }
-MOST_KINDS: Final = 4
-"""Kinds of shifts that are drawn."""
 
 
 def reported(diagnosis: TruckDiagnosis) -> list[ReportedCause]:
@@ -138,7 +125,8 @@ def as_json(diagnosis: TruckDiagnosis, logs: list[str], skipped: dict[str, int])
         diagnosis.kind,
         causes,
         findings,
-        FALSE_ALARM_BASIS,
+        f"posterior of a healthy truck at most {LIMITS.max_healthy_probability:g}, with priors on what "
+        "differs between healthy trucks and their shifts; measured on drawn truck logs (docs, accuracy)",
         headline=headline_of(diagnosis, causes),
         rivals=[g["causes"] for g in groups if ids.intersection(g["causes"])],
         extended_model="extended_model.toml" if diagnosis.kind == "named" else None,
@@ -162,7 +150,13 @@ def as_json(diagnosis: TruckDiagnosis, logs: list[str], skipped: dict[str, int])
             for item in noticed_of(diagnosis)
         ],
         truck=truck_rows(diagnosis),
-        assumed=list(ASSUMED),
+        assumed=[
+            "The actuator is that of the model within the tolerances of its section repeatability.",
+            "Gearbox mass, linkage friction, barriers of the teeth, cone and supply are unknown within "
+            "wide priors, and differ from shift to shift.",
+            "Pulses are reported 1.5 ms after their start, and every frame as soon as the bus is free.",
+            "PlantMotion and PlantPressures are not used: a truck's bus does not have them.",
+        ],
     )
 
 
@@ -237,7 +231,7 @@ def shifts_figure(diagnosis: TruckDiagnosis) -> Figure:
     kinds: set[tuple[str, str]] = set()
     for k in np.argsort(-healthy.fit.per_shift).tolist():
         shift = diagnosis.shifts[k]
-        if (shift.start, shift.end) in kinds or len(stacks) == MOST_KINDS:
+        if (shift.start, shift.end) in kinds or len(stacks) == 4:
             continue
         kinds.add((shift.start, shift.end))
         ms = MS * (shift.time_s - LEAD_S)

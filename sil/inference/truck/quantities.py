@@ -15,9 +15,6 @@ import numpy as np
 from plant.parameters import ParameterSet
 from sil.inference.problem import Floats
 
-MESH_N, PULL_N = 600.0, 300.0
-"""Usual barriers of the teeth into and out of gear."""
-
 
 @dataclass(frozen=True)
 class Quantity:

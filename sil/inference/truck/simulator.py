@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from plant.batch.batch import Strokes, simulate_batch
 from plant.devices.sensors import InductiveSensor
-from plant.devices.valve import switch_schedule
+from plant.devices.valve import NS_PER_S, switch_schedule
 from plant.effects import apply_effects
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
@@ -27,24 +27,13 @@ from plant.kernel.packing import fresh_modes, initial_state
 from plant.parameters import ParameterSet
 from sil.inference.problem import Floats
 from sil.inference.truck.causes import Cause
-from sil.inference.truck.quantities import MESH_N, PULL_N, Layout, quantities
+from sil.inference.truck.quantities import Layout, quantities
 from sil.log_replay.recorded_shifts import RecordedShift
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-NS: Final = 1_000_000_000
-TINY_FORCE_N: Final = 1e-6
-"""Holds every stroke in the scalar kernel, which knows all terms."""
-IMPULSE_PER_SPEED: Final = 0.25 / 0.09
-"""Impulse of the cone per speed difference, N s per rad/s: that of the default driveline."""
-LEAST_IMPULSE_N_S, UNKNOWN_IMPULSE_N_S = 0.3, 30.0
-"""Of a cone at nearly equal speeds, and of one whose speeds the log does not have."""
-TIMING_STEP_NS: Final = 500_000
-"""Delays within this have the same moves of the valves, in another place."""
 MOST_KEPT: Final = 4000
-IN_GEAR, NEUTRAL = ("B", "F"), 1
-"""Gears by name, and the chamber of neutral."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +79,8 @@ class ShiftModel:
             [1.0 if np.isnan(s.supply_pa) else s.supply_pa / self.supply_pa for s in shifts]
         )
         self._impulse: Floats = np.array([_impulse_n_s(s) for s in shifts])
-        into = [any(c != NEUTRAL and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
-        out_of = [s.start in IN_GEAR for s in shifts]
+        into = [any(c != 1 and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
+        out_of = [s.start in ("B", "F") for s in shifts]
         kinds = {
             "always": np.ones(len(shifts), dtype=bool),
             "report": np.ones(len(shifts), dtype=bool),
@@ -198,12 +187,13 @@ class ShiftModel:
         p.p_supply = p.p_supply * self._supply[which] * np.exp(of_trip)
         p.m_s = p.m_s + self.mass_kg * (np.exp(amounts[:, at["mass"]]) - 1.0)
         p.f_linkage = p.f_linkage * np.exp(amounts[:, at["linkage"]])
-        mesh, pull = (usual * self.mounted for usual in (MESH_N, PULL_N))
-        p.mesh_force = np.maximum(TINY_FORCE_N, p.mesh_force + mesh + amounts[:, at["mesh"]])
+        # usual barriers of the teeth; 1e-6 N: holds every stroke in the scalar kernel, which knows all terms
+        mesh, pull = 600.0 * self.mounted, 300.0 * self.mounted
+        p.mesh_force = np.maximum(1e-6, p.mesh_force + mesh + amounts[:, at["mesh"]])
         p.pull_force = np.maximum(0.0, p.pull_force + pull + amounts[:, at["pull"]])
         cone = self._impulse[which] * np.exp(np.clip(amounts[:, at["cone"]], -6.0, 4.0))
         # cones at equal speeds let the stay pass without a stop, or nearly so
-        cone = np.maximum(cone - LEAST_IMPULSE_N_S, 0.0)
+        cone = np.maximum(cone - 0.3, 0.0)
         p.sync_impulse = np.where(self.acts[which, at["cone"]], cone, 0.0)
         out: Floats = p.array
         return out
@@ -211,10 +201,11 @@ class ShiftModel:
     def _switches(self, which: Ints, amounts: Floats, each: Sequence[Actuator]) -> Floats:
         """Return the moves of the valves [n, k, 4] as rows of `plant.batch.batch.Strokes`."""
         delays = np.array([(i.setup.timing.rise_ns, i.setup.timing.fall_ns) for i in each])
-        own_ns = [NS * amounts[:, self.layout.at[name]] for name in ("rise", "fall")]
+        own_ns = [NS_PER_S * amounts[:, self.layout.at[name]] for name in ("rise", "fall")]
         delays = np.maximum(0, delays + np.array(own_ns).round().astype(np.int64).T)
-        nearby = (delays // TIMING_STEP_NS) * TIMING_STEP_NS + TIMING_STEP_NS // 2
-        later_s = (delays - nearby) / NS
+        # delays within 0.5 ms have the same moves of the valves, in another place
+        nearby = (delays // 500_000) * 500_000 + 250_000
+        later_s = (delays - nearby) / NS_PER_S
         timing = each[0].setup.timing
         keys = list(zip(which.tolist(), *nearby.T.tolist(), strict=True))
         places = {key: row for row, key in enumerate(dict.fromkeys(keys))}
@@ -225,7 +216,7 @@ class ShiftModel:
                 shift, rise_ns, fall_ns = key
                 near = replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)
                 rows = switch_schedule(self.shifts[shift].commands, near, 3)
-                own = [(at / NS, chamber, u, 0.0) for at, chamber, u in rows]
+                own = [(at / NS_PER_S, chamber, u, 0.0) for at, chamber, u in rows]
                 self._moves[key] = np.array(own).reshape(-1, 4)
         longest = max(len(self._moves[key]) for key in places)
         table = np.zeros((len(places), longest, 4))
@@ -251,5 +242,6 @@ def _filled(values: Floats, most: int) -> Floats:
 def _impulse_n_s(shift: RecordedShift) -> float:
     """Return the usual impulse of the cone, N s, at the speed difference of a shift."""
     if np.isnan(shift.difference_rad_s) or shift.end == "N":
-        return UNKNOWN_IMPULSE_N_S
-    return max(LEAST_IMPULSE_N_S, IMPULSE_PER_SPEED * abs(shift.difference_rad_s))
+        return 30.0
+    # of the default driveline: 0.25 N s at 0.09 rad/s
+    return max(0.3, 0.25 / 0.09 * abs(shift.difference_rad_s))

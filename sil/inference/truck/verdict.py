@@ -24,8 +24,6 @@ from sil.inference.verdict import Conclusion, kind_of
 
 TEMPER: Final = 1.0 / 3.0
 """Share of a difference in evidence that counts between causes."""
-MINIMA_RISE: Final = 2.0 / TEMPER
-"""Rise of the cost, beyond the best minimum, of those in which the truth may lie: 2 for 95 %, tempered."""
 REPEATED: Final = 2
 """Shifts in which a deviation repeats."""
 
@@ -141,11 +139,8 @@ def _causes(hypotheses: Sequence[Hypothesis]) -> set[str]:
 def _interval(fit: Fit, fits: Sequence[Fit], fitters: dict[bool, Fitter]) -> tuple[float, float]:
     """Return the 95 % interval of a fit's size, with the minima that are hardly worse."""
     low, high = fitters[fit.mounted].profile(fit)
-    sizes = [
-        other.size
-        for other in fits
-        if other.name == fit.name and other.cost <= fit.cost + MINIMA_RISE
-    ]
+    within = fit.cost + 2.0 / TEMPER  # 2 for 95 %
+    sizes = [other.size for other in fits if other.name == fit.name and other.cost <= within]
     return min(low, *sizes), max(high, *sizes)
 
 

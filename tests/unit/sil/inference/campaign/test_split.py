@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sil.inference.campaign.split import MOST_TRAINING, split, stratum
+from sil.inference.campaign.split import split, stratum
 
 stroke = st.builds(
     lambda kind, load, charged, rest: SimpleNamespace(
@@ -25,7 +25,7 @@ stroke = st.builds(
 def test_every_stroke_is_on_one_side_and_strata_train_first(strokes) -> None:
     training, held_out = split(strokes)
     assert sorted(training + held_out) == list(range(len(strokes)))
-    assert held_out and len(training) <= MOST_TRAINING
+    assert held_out and len(training) <= 14
     kinds = {stratum(item) for item in strokes}
     if len(kinds) <= len(training):
         assert {stratum(strokes[k]) for k in training} == kinds

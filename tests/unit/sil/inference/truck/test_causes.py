@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sil.inference.truck.causes import LARGEST_SIZE, Cause, catalogue, offered
+from sil.inference.truck.causes import Cause, catalogue, offered
 
 
 def only(name: str) -> Cause:
@@ -19,7 +19,7 @@ def test_sizes_are_physical_and_of_both_signs_where_both_are() -> None:
     late, force, line = map(only, ("valve_open_delay", "external_force", "hose_droop"))
     assert late.sizes(1.5, 8.0) == [1.5, 8.0]
     assert force.sizes(1.5) == [1.5, -1.5]
-    assert late.clipped(-1.0) == 0.0 and force.clipped(-99.0) == -LARGEST_SIZE
+    assert late.clipped(-1.0) == 0.0 and force.clipped(-99.0) == -30.0
     assert late.value(2.0) == pytest.approx(0.006)
     # a line is the narrower the larger the size
     assert line.value(4.0) < line.value(1.0) <= line.parameter.high
