@@ -12,7 +12,7 @@ from sil.log_replay.excerpts import Excerpt, Row
 from sil.log_replay.plant_side import Position
 from sil.log_replay.truck_loop import OurShift
 from sil.log_replay.truck_replay import ComparedShift, TruckReplay, side_figures, truck_verdict
-from sil.log_replay.truck_shift import NAMES, PHASES
+from sil.log_replay.truck_shift import PHASES
 from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Stack, Zoom, spans_of
 from sil.shifts.cutter import Shift
 from sil.shifts.engine import EngineTrace
@@ -216,7 +216,7 @@ def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:
         span for k, times in enumerate(sides) for span in _phase_spans(times, len(sides) - 1 - k)
     ]
     ticks = [(len(sides) - 0.5 - k, name) for k, name in enumerate(names[: len(sides)])]
-    keys = [(f"to {NAMES[phase]}", PHASE_ROLES[phase]) for phase in PHASES]
+    keys = [(f"to {PHASES[phase]}", PHASE_ROLES[phase]) for phase in PHASES]
     limits = (0.0, float(len(sides)))
     panels.append(
         Panel("Phases", spans=spans, ticks=ticks, keys=keys, height=40 * len(sides), limits=limits)

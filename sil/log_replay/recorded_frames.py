@@ -24,9 +24,6 @@ FROM_PLANT: Final = tuple(kind for kind in KINDS if _PLANT.intersection(spec_of(
 OWN_IDS: Final[dict[int, type]] = {can_id_of(kind): kind for kind in KINDS}
 ID_OF: Final[dict[type, int]] = {kind: can_id for can_id, kind in OWN_IDS.items()}
 
-REORDERED_NS: Final = 50_000_000
-"""Frames out of order by no more than this are taken as of the latest time before them."""
-
 
 class Arrival(NamedTuple):
     """A data frame of the log; `kind` is its message type, None for a foreign one."""
@@ -43,7 +40,7 @@ class RecordedFrames:
     `channel`: None for all, else only frames of that channel count as ours. `ids`: identifier to
     message type, where the log has others than the contract. `skew`: from a time on the
     recorder's clock runs faster by that share, and times are given in the control unit's own.
-    Raises InputError when the clock steps back by more than `REORDERED_NS`.
+    Raises InputError when the clock steps back by more than 50 ms.
     """
 
     log: Iterable[LogFrame]
@@ -94,7 +91,7 @@ class RecordedFrames:
             yield Arrival(time_ns, kind, Frame(can_id, entry.data))
 
     def _clamped(self, time_ns: int, last_ns: int) -> int:
-        if last_ns - time_ns > REORDERED_NS:
+        if last_ns - time_ns > 50_000_000:
             raise InputError(
                 f"{self.path}: frame {self.total}: the clock steps back by "
                 f"{(last_ns - time_ns) / 1e9:.3f} s; expected one recording, cut the log there"

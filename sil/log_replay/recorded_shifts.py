@@ -44,15 +44,10 @@ NEEDED: Final = {can_id_of(kind): kind for kind in (ValveCommand, PositionPulse)
 """The messages without which there is no shift, by identifier."""
 LEAD_S: Final = 0.05
 """Simulated time of a shift before its first command."""
-NO_BLOWS: Final = 20
-"""Commands without any SafetyBlow from which the log is taken as one without them."""
 NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
-MOST_PULSES: Final = 96
 GIVEN_UP_S: Final = 0.35
 """Time after which a commanded gear that was not reached is a failed shift, not a change of mind."""
 AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
-FRAME_S: Final = 0.00026
-"""Time of a pulse's frame on a bus of 500 kbit/s; another bit rate is part of the delay's prior."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +119,9 @@ class ShiftReader:
         time_ns, kind, frame = arrival
         if kind in (ValveCommand, SafetyBlow):
             received = [(time_ns, frame)]
-            silent = not self.frames[SafetyBlow] and self.frames[ValveCommand] >= NO_BLOWS
+            silent = (
+                not self.frames[SafetyBlow] and self.frames[ValveCommand] >= 20
+            )  # a log without any
             if silent and kind is ValveCommand:
                 received.append((time_ns, self._no_blow.protect(NO_BLOW)))
             for at_ns, duties in self._driver.advance(time_ns, received):
@@ -209,7 +206,8 @@ class ShiftReader:
         begun = float(np.min(arrived - period * index)) + period * index
         if begun[-1] < arrived[-1] - 0.5 * period:  # more than 255 pulses lost, or another period
             return "with a gap in the pulses"
-        measured_s = begun - FRAME_S - config.capture_s + 0.5 * self._sensor.t_mid_s
+        # a pulse's frame lasts 0.26 ms at 500 kbit/s; another bit rate is part of the delay's prior
+        measured_s = begun - 0.00026 - config.capture_s + 0.5 * self._sensor.t_mid_s
         warmth = 1.0 + self._sensor.temp_coeff_1_k * (kelvin - self._sensor.t_ref_k)
         position = (pulse / warmth - self._sensor.t_mid_s) / self._sensor.slope_s_m
         before = position[measured_s < LEAD_S]
@@ -232,7 +230,7 @@ class ShiftReader:
             return "without motion"
         else:
             failed, last = False, int(moving[-1]) + 7 if len(moving) else 0
-        used = slice(first, min(max(last, first + 12), len(position), first + MOST_PULSES))
+        used = slice(first, min(max(last, first + 12), len(position), first + 96))
         return RecordedShift(
             self._source,
             episode.begin_ns / NS_PER_S,

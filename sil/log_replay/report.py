@@ -28,7 +28,7 @@ from sil.log_replay.truck_replay import (
     statistics,
     truck_verdict,
 )
-from sil.log_replay.truck_shift import NAMES
+from sil.log_replay.truck_shift import PHASES
 from sil.report.figure import Panel
 from sil.report.picture import save
 from sil.report.plots import PlotGroup, plots
@@ -550,7 +550,7 @@ def truck_page(
         head,
         groups,
         diff=values,
-        names=NAMES,
+        names=PHASES,
         overview=overview,
         pictures=pictures[:max_pictures],
         hidden=len(pictures[max_pictures:]),

@@ -23,7 +23,7 @@ from sil.log_replay.options import firmware_of
 from sil.log_replay.tick_grid import HEAD_FRAMES
 from sil.log_replay.truck_log import TruckLog, is_data_of
 from sil.log_replay.truck_loop import Input, OurShift, inputs_of, simulate, why_not
-from sil.log_replay.truck_shift import NAMES, RecordedShift, recorded_shift
+from sil.log_replay.truck_shift import PHASES, RecordedShift, recorded_shift
 from sil.logs import Logs
 from sil.shifts.cutter import TRANSMISSION
 
@@ -173,9 +173,9 @@ def _reasons(recorded: RecordedShift, ours: OurShift) -> Iterator[str]:
             parts.append((abs(spans[0] - spans[1]), before, name, *spans))
         before, theirs_before, mine_before = name, theirs, mine
     for _, before, after, theirs, mine in sorted(parts, reverse=True):
-        start = NAMES.get(before, "request")
+        start = PHASES.get(before, "request")
         why = _why(after, recorded, ours, mine < theirs)
-        yield f"{start} to {NAMES[after]}: {mine:.3f} s against {theirs:.3f} s{why}"
+        yield f"{start} to {PHASES[after]}: {mine:.3f} s against {theirs:.3f} s{why}"
 
 
 def _why(after: str, recorded: RecordedShift, ours: OurShift, quicker: bool) -> str:

@@ -17,7 +17,7 @@ from sil.log_replay.truck_log import Samples, TruckLog
 from sil.report.figure import Floats
 from sil.shifts.cutter import Shift
 
-NAMES: Final = {
+PHASES: Final = {
     "torque_cut": "torque cut",
     "disengaged": "gear left",
     "synchronised": "speeds agree",
@@ -26,7 +26,6 @@ NAMES: Final = {
 }
 """Instants of a shift after its request, in order, with their names in words."""
 
-PHASES: Final = tuple(NAMES)
 AROUND_S: Final = 1.5
 """Recorded time before and after a shift that is looked at."""
 
@@ -146,7 +145,7 @@ def _set(recorded: RecordedShift, phase: str, times: Floats, index: int) -> None
     spacing_s = float(times[before] - times[before - 1]) if len(times) > 1 else np.inf
     if spacing_s > LONGEST_GAP_S:
         silent = f"its sender was silent for {spacing_s:.2f} s"
-        recorded.notes.append(f"{NAMES[phase]}: not known, {silent}")
+        recorded.notes.append(f"{PHASES[phase]}: not known, {silent}")
         recorded.times_s[phase] = None
     else:
         recorded.times_s[phase], recorded.known_s[phase] = float(times[index]), spacing_s

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader, leading_bytes
+from sil.logs.format import ZONE_NOTE, Batch, NotAFrame, TextReader, leading_bytes
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import Location
 from sil.logs.source import Chunk, Line
@@ -337,7 +337,7 @@ class AscWriter(TextWriter):
         self._out.write(b"End TriggerBlock\n")
 
 
-def _recognise(head: bytes) -> bool:
+def recognise(head: bytes) -> bool:
     """Return whether one of the first lines is a header or frame line of an ASC log."""
     mark = re.compile(
         r"\s*(?:date\s|base\s+(?:hex|dec)|begin\s+triggerblock|(?:no\s+)?internal\s+events|"
@@ -345,6 +345,3 @@ def _recognise(head: bytes) -> bool:
         re.IGNORECASE,
     )
     return any(map(mark.match, head.decode("latin-1").split("\n")[:200]))
-
-
-FORMAT: Final = Format("asc", (".asc",), _recognise, AscReader, AscWriter)

@@ -14,9 +14,9 @@ from enum import IntEnum
 from typing import Final
 
 from can_dbc.errors import InputError
-from can_dbc.frame import MAX_ID
+from can_dbc.frame import MAX_ID, SOCKETCAN_EXTENDED
 from sil.files.quantity import counted
-from sil.logs.format import ZONE_NOTE, Batch, Format, time_base
+from sil.logs.format import ZONE_NOTE, Batch, time_base
 from sil.logs.frame import MAX_STANDARD_ID, MAX_TIME_NS, LogFrame, frame_problem, ordinary_frame
 from sil.logs.report import Location, LogReport
 from sil.logs.source import ByteSource
@@ -54,7 +54,6 @@ _PLAIN_HEADERS: Final = frozenset(
     (b"LOBJ", OBJECT.size + TIMES_V1.size, 1, PLAIN.size, kind)
     for kind in (ObjectType.CAN, ObjectType.CAN_2)
 )
-EXTENDED: Final = 0x80000000
 REMOTE: Final = 0x80
 
 OTHER_TYPES: Final = {
@@ -190,7 +189,8 @@ def _built(
         time_ns,
         can_id,
         b"" if remote else data,
-        bool(word & EXTENDED) or can_id > MAX_STANDARD_ID,  # some writers leave the flag out
+        bool(word & SOCKETCAN_EXTENDED)
+        or can_id > MAX_STANDARD_ID,  # some writers leave the flag out
         remote,
         False,
         fd,
@@ -406,7 +406,7 @@ class BlfWriter(LogWriter):
         time_ns = self._since_start(frame)
         self._stop_ns = max(self._stop_ns, frame.time_ns)
         channel = self.channel_number(frame.channel)
-        word = frame.can_id | (EXTENDED if frame.extended else 0)
+        word = frame.can_id | (SOCKETCAN_EXTENDED if frame.extended else 0)
         flags = REMOTE if frame.remote else 0
         if not frame.error:
             flags |= self.direction(frame) == "Tx"
@@ -462,8 +462,6 @@ class BlfWriter(LogWriter):
         self._out.write(header)
 
 
-def _recognise(head: bytes) -> bool:
+def recognise(head: bytes) -> bool:
+    """Return whether a file begins as a BLF file."""
     return head.startswith(b"LOGG")
-
-
-FORMAT: Final = Format("blf", (".blf",), _recognise, BlfReader, BlfWriter, "byte")

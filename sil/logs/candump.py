@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
 from can_dbc.frame import MAX_ID
-from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
+from sil.logs.format import Batch, NotAFrame, TextReader, time_base
 from sil.logs.frame import MAX_TIME_NS, LogFrame
 from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_S, enough_decimals, format_ns, parse_decimal_ns, utc_ns
@@ -365,15 +365,10 @@ class CandumpWriter(TextWriter):
         return f"{digits}#{frame.data.hex().upper()}_{frame.raw_dlc:X}"
 
 
-def _recognise(head: bytes) -> bool:
+def recognise(head: bytes) -> bool:
     """Return whether one of the first lines is a candump line, or only losses are recorded."""
     lines = head.decode("latin-1").split("\n")
     for text in lines[:200]:
         with suppress(NotAFrame, ValueError):
             return bool(parse_line(text.removesuffix("\r")))
     return any(map(_DROPPED.match, lines))
-
-
-FORMAT: Final = Format(
-    "candump", (".log", ".candump", ".txt"), _recognise, CandumpReader, CandumpWriter
-)

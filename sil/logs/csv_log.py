@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
+from sil.logs.format import Batch, NotAFrame, TextReader, time_base
 from sil.logs.frame import DLC_LENGTHS, LogFrame
 from sil.logs.report import LogReport, printable
 from sil.logs.source import ByteSource, Line
@@ -234,10 +234,7 @@ class CsvWriter(TextWriter):
         )
 
 
-def _recognise(head: bytes) -> bool:
+def recognise(head: bytes) -> bool:
     """Return whether the first line is a header we know, of frames or of signals."""
     first = head.decode("latin-1").split("\n", 1)[0]
     return _dialect(first) is not None or first.startswith("time_s,")
-
-
-FORMAT: Final = Format("csv", (".csv",), _recognise, CsvReader, CsvWriter)

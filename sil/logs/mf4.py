@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from can_dbc.errors import InputError
 from can_dbc.frame import MAX_ID
 from sil.files.extras import import_extra
-from sil.logs.format import Batch, Format, time_base
+from sil.logs.format import Batch, time_base
 from sil.logs.frame import DLC_LENGTHS, MAX_STANDARD_ID, MAX_TIME_NS, LogFrame, frame_problem
 from sil.logs.report import Location, LogReport, printable
 from sil.logs.source import ByteSource
@@ -84,7 +84,7 @@ class Mf4File:
         asammdf = import_asammdf(report.path)
         if not is_mf4(source.head):
             version = printable(source.head[8:16].decode("latin-1").strip("\x00 "))
-            is_mdf = _recognise(source.head)
+            is_mdf = recognise(source.head)
             what = f"MDF version {version!r}" if is_mdf else "byte 0: no MDF header"
             raise InputError(f"{report.path}: {what}; expected MDF 4")
         content = bytearray()
@@ -162,7 +162,7 @@ class Mf4File:
             return columns, self.mdf.get_master(number)
 
 
-def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
+def read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
     """Yield the frames in batches, those of all groups merged by `Order`, or else by time.
 
     Raises InputError if the file cannot be read or holds decoded signals only.
@@ -337,8 +337,6 @@ class Mf4Writer(LogWriter):
         return rows, offsets_ns // 10**9 + (offsets_ns % 10**9) / 1e9
 
 
-def _recognise(head: bytes) -> bool:
+def recognise(head: bytes) -> bool:
+    """Return whether a file begins as an MDF file, finished or not."""
     return head.startswith((b"MDF     ", b"UnFinMF "))
-
-
-FORMAT: Final = Format("mf4", (".mf4", ".mdf"), _recognise, _read, Mf4Writer, "frame")

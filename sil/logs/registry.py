@@ -11,11 +11,25 @@ from sil.logs import asc, blf, candump, csv_log, mf4, trc
 from sil.logs.format import Format
 from sil.logs.reader import LogReader
 from sil.logs.report import LogReport
-from sil.logs.source import STANDARD_INPUT, ByteSource, copy_of_stream
+from sil.logs.source import ByteSource, copy_of_stream
 from sil.logs.writer import LogWriter
 
 FORMATS: Final[dict[str, Format]] = {
-    module.FORMAT.name: module.FORMAT for module in (blf, mf4, trc, asc, csv_log, candump)
+    one.name: one
+    for one in (
+        Format("blf", (".blf",), blf.recognise, blf.BlfReader, blf.BlfWriter, "byte"),
+        Format("mf4", (".mf4", ".mdf"), mf4.recognise, mf4.read, mf4.Mf4Writer, "frame"),
+        Format("trc", (".trc",), trc.recognise, trc.TrcReader, trc.TrcWriter),
+        Format("asc", (".asc",), asc.recognise, asc.AscReader, asc.AscWriter),
+        Format("csv", (".csv",), csv_log.recognise, csv_log.CsvReader, csv_log.CsvWriter),
+        Format(
+            "candump",
+            (".log", ".candump", ".txt"),
+            candump.recognise,
+            candump.CandumpReader,
+            candump.CandumpWriter,
+        ),
+    )
 }
 """In the order in which they are asked whether a file is theirs: the surest mark first."""
 
@@ -96,7 +110,7 @@ def open_writer(path: str | os.PathLike[str], *, format: str | None = None) -> L
     """
     name = os.fspath(path)
     log_format = _format_of_name(name) if format is None else _format_named(format)
-    if log_format is None and name == STANDARD_INPUT:
+    if log_format is None and name == "-":
         raise InputError(f"-: of which format? expected --to, one of {', '.join(FORMATS)}")
     if log_format is None:
         suffixes = ", ".join(suffix for one in FORMATS.values() for suffix in one.suffixes)

@@ -17,7 +17,6 @@ from typing import BinaryIO, Final, NamedTuple
 from can_dbc.errors import InputError
 from sil.logs.report import Location, LogReport
 
-STANDARD_INPUT: Final = "-"
 CHUNK_BYTES: Final = 1 << 15
 LONGEST_LINE: Final = 1 << 16
 """A longer line is no line of a log; its excess is dropped so that memory stays bounded."""
@@ -124,7 +123,7 @@ def _standard_input() -> tempfile._TemporaryFileWrapper[bytes]:
 
 def copy_of_stream(path: str) -> tempfile._TemporaryFileWrapper[bytes] | None:
     """Return a file with what standard input or a FIFO gave: logs are read more than once; else None."""
-    if path == STANDARD_INPUT:
+    if path == "-":
         return _standard_input()
     if not os.path.exists(path) or not stat.S_ISFIFO(os.stat(path).st_mode):
         return None

@@ -13,7 +13,6 @@ from can_dbc.errors import InputError
 from sil.logs.format import (
     ZONE_NOTE,
     Batch,
-    Format,
     NotAFrame,
     TextReader,
     leading_bytes,
@@ -267,13 +266,10 @@ class TrcWriter(TextWriter):
         )
 
 
-def _recognise(head: bytes) -> bool:
+def recognise(head: bytes) -> bool:
     """Return whether there is a TRC header, or a first line as version 1 has them."""
     text = head.decode("latin-1")
     if ";$FILEVERSION=" in text:
         return True
     lines = [line for line in text.split("\n") if line.strip() and line[0] != ";"]
     return bool(lines) and bool(re.match(r"\s*\d+\)\s+\d+(?:\.\d+)?\s+\S+\s+\S", lines[0]))
-
-
-FORMAT: Final = Format("trc", (".trc",), _recognise, TrcReader, TrcWriter)

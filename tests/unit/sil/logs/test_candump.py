@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.candump import FORMAT, look_like_deltas, parse_line, plain_frames
+from sil.logs.candump import look_like_deltas, parse_line, plain_frames, recognise
 from sil.logs.format import NotAFrame
 from sil.logs.frame import frame_problem
 from tests.support.golden_logs import log_of, write
@@ -387,4 +387,4 @@ def test_numbered_channels_count_from_can0(tmp_path: Path) -> None:
     ],
 )
 def test_losses_alone_are_recognised_by_their_line(head: bytes, found: bool) -> None:
-    assert FORMAT.recognise(head) is found
+    assert recognise(head) is found
