@@ -50,7 +50,6 @@ from plant.trace import CMD, CURRENT, PULSE, SPEEDS, VALVE, TraceRows, TraceSink
 Released = list[tuple[int, Frame]]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
-EVENT_NAMES = {"stop": "stay_stop", "block": "sync_block", "unblock": "sync_unblock"}
 DIRECTIONS = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}
 REFERRED = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
 
@@ -323,7 +322,8 @@ class PlantNode:
             values = asdict(event)
             time_s, name = values.pop("time_s"), values.pop("name")
             values["peak_force_n"] = math.sqrt(2.0 * self._contact_n_m * event.energy_j)
-            reports.append((time_s, EVENT_NAMES.get(name, name.replace(" ", "_")), values))
+            of = {"stop": "stay_", "block": "sync_", "unblock": "sync_"}.get(name, "")
+            reports.append((time_s, of + name.replace(" ", "_"), values))
         for instant, chamber, u in switches:
             name = f"valve_{CHAMBERS[chamber]}_{'open' if u else 'close'}"
             reports.append((instant / NS_PER_S, name, {}))

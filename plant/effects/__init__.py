@@ -35,7 +35,8 @@ __all__ = [
 CATALOGUE: dict[str, Effect] = {
     item.id: item
     for module in sorted(info.name for info in pkgutil.iter_modules(__path__))
-    for item in getattr(importlib.import_module(f"{__name__}.{module}"), "EFFECTS", ())
+    for item in vars(importlib.import_module(f"{__name__}.{module}")).values()
+    if isinstance(item, Effect)
 }
 """All effects by id: those of every file in this folder, and of the users' files that were loaded."""
 

@@ -27,30 +27,19 @@ from plant.parts.term import DIRECTION, POSITION, PRESSURE, SPEED, TIME, sum_of_
 
 __all__ = ["ARGUMENTS", "AddedTerm", "Slot", "added_term"]
 
-FLOW = {"time_s": TIME, "position_m": POSITION, "valve": DIRECTION, "pressure_pa": PRESSURE}
 ARGUMENTS: dict[Slot, dict[str, int]] = {
     Slot.FORCE: {"time_s": TIME, "position_m": POSITION, "speed_m_s": SPEED},
     Slot.RESISTANCE: {"position_m": POSITION, "speed_m_s": SPEED, "direction": DIRECTION},
-    Slot.FLOW_1: FLOW,
-    Slot.FLOW_2: FLOW,
-    Slot.FLOW_3: FLOW,
-    Slot.LEAK: FLOW,
+    **{
+        slot: {"time_s": TIME, "position_m": POSITION, "valve": DIRECTION, "pressure_pa": PRESSURE}
+        for slot in (Slot.FLOW_1, Slot.FLOW_2, Slot.FLOW_3, Slot.LEAK)
+    },
     Slot.CHARGE: {"pressure_ratio": PRESSURE},
     Slot.DISCHARGE: {"pressure_ratio": PRESSURE},
     Slot.EXPONENT: {"speed_m_s": SPEED},
 }
 """What the term of a slot may depend on, and where the equations pass it (`call_at`)."""
 
-TRIED: dict[str, tuple[float, ...]] = {
-    "time_s": (0.0, 0.1, 1.0),
-    "position_m": (-0.03, -0.0131, -0.006, 0.0, 1e-4, 0.006, 0.0131, 0.03),
-    "speed_m_s": (-1.0, 0.0, 1e-4, 0.3, 3.0),
-    "direction": (-1.0, 1.0),
-    "valve": (0.0, 0.5, 1.0),
-    "pressure_pa": (5e4, 101325.0, 6e5, 1.2e6),
-    "pressure_ratio": (0.05, 0.5, 1.0, 1.0001, 10.0),
-}
-"""Values of each argument at which a term must be a finite number."""
 
 TIME_LIMIT_S = 20.0
 """Of a term for its values all over the ranges; one that takes longer never ends."""
@@ -118,9 +107,18 @@ class AddedTerm:
         call = self.compiled.ctypes
         pointer = passed.ctypes.data_as(call.argtypes[-1])
         results: list[tuple[dict[str, float], float]] = []
+        tried: dict[str, tuple[float, ...]] = {
+            "time_s": (0.0, 0.1, 1.0),
+            "position_m": (-0.03, -0.0131, -0.006, 0.0, 1e-4, 0.006, 0.0131, 0.03),
+            "speed_m_s": (-1.0, 0.0, 1e-4, 0.3, 3.0),
+            "direction": (-1.0, 1.0),
+            "valve": (0.0, 0.5, 1.0),
+            "pressure_pa": (5e4, 101325.0, 6e5, 1.2e6),
+            "pressure_ratio": (0.05, 0.5, 1.0, 1.0001, 10.0),
+        }
         trials = [
             dict(zip(self.arguments, chosen, strict=True))
-            for chosen in product(*(TRIED[name] for name in self.arguments))
+            for chosen in product(*(tried[name] for name in self.arguments))
         ]
 
         def call_all() -> None:

@@ -21,6 +21,3 @@ def back_pressure(setup: Setup, values: dict[str, float]) -> None:
     setup.p.p_atm += values["pressure_pa"]
     if setup.conditions.system == FIXED:
         setup.p.f_external += values["pressure_pa"] * setup.p.area_s
-
-
-EFFECTS = (back_pressure,)

@@ -50,6 +50,3 @@ def misalignment(setup: Setup, values: dict[str, float]) -> None:
     """Extra friction of the stay while the damper is mounted."""
     if setup.conditions.load == "damper":
         setup.p.damper_drag += values["force_n"]
-
-
-EFFECTS = (aeration, clog, misalignment)

@@ -30,6 +30,3 @@ def end_cushion(setup: Setup, values: dict[str, float]) -> None:
     """Force -k (|x| - (stroke - thickness)) towards the middle, in the last part of the travel."""
     from_m = setup.p.stroke - values["thickness_m"]
     cushion.add_to(setup, stiffness_n_m=values["stiffness_n_m"], from_m=from_m)
-
-
-EFFECTS = (end_cushion,)

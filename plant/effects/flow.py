@@ -241,16 +241,3 @@ def residual(setup: Setup, values: dict[str, float]) -> None:
         if where in (0.0, 2.0) or chamber not in charged:
             other_pa = setup.residual_pa.get(chamber, 0.0)
             setup.residual_pa[chamber] = other_pa + values["pressure_pa"]
-
-
-EFFECTS = (
-    piston_leak,
-    leak_out,
-    supply_low,
-    droop,
-    exhaust_clog,
-    inlet_clog,
-    dead_charge,
-    dead_passive,
-    residual,
-)

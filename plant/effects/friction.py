@@ -190,6 +190,3 @@ def seal(setup: Setup, values: dict[str, float]) -> None:
     if values["face"] == 1.0 and setup.conditions.system == FIXED:
         share = setup.p.area_p2 / setup.p.area_p
     setup.p.seal_mu = values["mu"] * share
-
-
-EFFECTS = (scale_running, scale_static, stribeck, asymmetry, bump, seal)

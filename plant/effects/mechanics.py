@@ -87,6 +87,3 @@ def detent(setup: Setup, values: dict[str, float]) -> None:
 def bounce(setup: Setup, values: dict[str, float]) -> None:
     """Let stops rebound with this coefficient of restitution."""
     setup.p.restitution = values["restitution"]
-
-
-EFFECTS = (free_play, stop_wear, added_mass, external, detent, bounce)

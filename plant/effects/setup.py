@@ -87,8 +87,9 @@ class Setup:
             p.spring_k += rate
             p.flow_model = 2.0
             p.t_gas = conditions.temperature_k
-            for key, name in cylinder.PACKED.items():
-                setattr(p, name, parameters.value(key))
+            for name in ("valve_b", "wall_heat", "wall_density"):
+                setattr(p, name, parameters.value(f"cylinder.{name}"))
+            p.air_kappa = parameters.value("cylinder.kappa")
         spool = None
         if is_cylinder and "cylinder.valve_frequency" in parameters:
             spool = Spool(*map(parameters.value, cylinder.PROPORTIONAL))

@@ -183,6 +183,3 @@ def add_table(setup: Setup, values: Mapping[str, float], nodes: Floats) -> None:
 def table_address() -> int:
     """Return the address of the compiled `tabulated`."""
     return int(c_function(tabulated, TERM).address)
-
-
-EFFECTS = (term,)

@@ -63,6 +63,3 @@ def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
         elif form >= 2.0:
             towards = setup.p.gamma - setup.p[exponent]
         setup.p[index] = values["share"] * towards / speed
-
-
-EFFECTS = (alpha_speed,)

@@ -35,7 +35,6 @@ from plant.parameters import load
 MARK = "@sha256:"
 """Separates a file's path from the hash of its content, where a run stores it."""
 
-EXPECTED = "a Python file with EFFECTS = (...)"
 
 _LOADED: dict[str, tuple[str, tuple[str, ...]]] = {}
 """Path of each loaded file -> hash of its content, and the effects in it."""
@@ -50,7 +49,7 @@ def load_effects(where: str) -> str:
     """
     name, _, expected = where.partition(MARK)
     path = resolved(name)
-    text = read_user_text(name, EXPECTED)
+    text = read_user_text(name, "a Python file of effects")
     digest = hashlib.sha256(text.encode()).hexdigest()
     if expected and digest != expected:
         raise InputError(
@@ -89,11 +88,12 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
     try:
         with exits_raise():
             exec(compile(text, file, "exec"), module.__dict__)
-        effects = getattr(module, "EFFECTS", None)
-        if not isinstance(effects, tuple | list) or not effects:
-            raise InputError(f"{file}: no EFFECTS; expected EFFECTS = (effect, ...)")
+        shipped = set(map(id, catalogue.CATALOGUE.values()))
+        found = [item for item in vars(module).values() if isinstance(item, Effect)]
+        effects = tuple(guarded(item, file) for item in found if id(item) not in shipped)
+        if not effects:
+            raise InputError(f"{file}: no effect; expected functions under @effect(...)")
         identifiers = set(catalogue.CATALOGUE)
-        effects = tuple(guarded(item, file) for item in effects)
         for item in effects:
             check_effect(item, file, identifiers)
             identifiers.add(item.id)
@@ -105,10 +105,8 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
     return effects
 
 
-def guarded(item: Any, file: str) -> Any:
-    """Return an effect whose errors, at any values, are one line. Raises InputError for something else than an effect."""
-    if not isinstance(item, Effect):
-        raise InputError(f"{file}: EFFECTS: {item!r}; expected functions under @effect(...)")
+def guarded(item: Effect, file: str) -> Effect:
+    """Return an effect whose errors, at any values, are one line."""
 
     @functools.wraps(item.change)
     def change(setup: Setup, values: dict[str, float]) -> None:
@@ -133,10 +131,10 @@ def where_of(item: Effect, file: str) -> str:
     return f"{begin}: effect {item.id!r}"
 
 
-def described(error: BaseException, file: str, expected: str = EXPECTED) -> str:
+def described(error: BaseException, file: str, expected: str = "a Python file of effects") -> str:
     """Return an error of a user's file as FILE:LINE: what is wrong; expected ..."""
     if isinstance(error, SyntaxError):
-        return f"{file}:{error.lineno}: not valid Python: {error.msg}; expected {EXPECTED}"
+        return f"{file}:{error.lineno}: not valid Python: {error.msg}; expected a Python file of effects"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     said = " ".join(str(error).split())
     line = f":{frames[-1].lineno}" if frames else ""

@@ -72,6 +72,3 @@ def close_later(setup: Setup, values: dict[str, float]) -> None:
 def creep(setup: Setup, values: dict[str, float]) -> None:
     """Let the plunger cross in a straight ramp of this duration, both ways."""
     setup.creep_s = values["travel_s"]
-
-
-EFFECTS = (open_later, open_by_pressure, close_later, creep)

@@ -8,10 +8,6 @@ correlation time.
 
 from __future__ import annotations
 
-QUANTITIES = (
-    *("friction", "breakaway", "viscous", "mass", "spring", "rise", "fall", "flow_in", "flow_out"),
-    *("critical", "volume_a", "volume_b", "kappa", "wall_heat", "wall_density"),
-)
 OF_TRUCK = {
     **dict.fromkeys(("friction", "flow_in", "flow_out", "volume_a", "volume_b"), "1"),
     **dict.fromkeys(("linkage", "mass"), "1"),
@@ -23,7 +19,13 @@ COLUMNS = {
     **{f"pressure_{name}_pa": "Pa" for name in "12BNF"},
 }
 UNITS = {
-    **{f"posterior.{name}": "1" for name in QUANTITIES},
+    **{
+        f"posterior.{name}": "1"
+        for name in (
+            *("friction", "breakaway", "viscous", "mass", "spring", "rise", "fall", "flow_in"),
+            *("flow_out", "critical", "volume_a", "volume_b", "kappa", "wall_heat", "wall_density"),
+        )
+    },
     **{f"posterior_truck.{name}": unit for name, unit in OF_TRUCK.items()},
     **{f"discrepancy.{name}": unit for name, unit in COLUMNS.items()},
     **{f"discrepancy_time.{name}": "s" for name in COLUMNS},

@@ -55,18 +55,8 @@ USUAL = {
 }
 """Values that a data sheet may leave out. Few valves lie outside b = 0.2 to 0.5, and few cylinders outside
 h = 10 to 120 W/(m^2 K) (Carneiro and de Almeida 2006)."""
-PACKED = dict(zip(USUAL, ("valve_b", "wall_heat", "wall_density", "air_kappa"), strict=True))
-"""The same values by their names in the packed parameters."""
-RANGES = {
-    "valve_b": (0.0, 0.9),
-    "wall_heat": (0.0, 1e6),
-    "wall_density": (0.0, 2.0),
-    "kappa": (1.0, 1.7),
-}
 CHOKED = 0.6847314563772704
 """Flow function of a choked orifice, sqrt(g (2 / (g + 1))^((g + 1) / (g - 1))) of g = 1.4."""
-ROOT_RT0 = sqrt(287.05 * 293.15)
-"""sqrt(R T_0) of ISO 6358's reference air, whose density is 1.185 kg/m^3."""
 
 
 def tube_area(length_m: float, diameter_m: float) -> float:
@@ -81,8 +71,11 @@ def tube_area(length_m: float, diameter_m: float) -> float:
 
 
 def area_of(conductance: float) -> float:
-    """Return the C_d A of a sonic conductance C [m^2]: the choked orifice that passes as much air."""
-    return conductance * 1.185 * ROOT_RT0 / CHOKED
+    """Return the C_d A of a sonic conductance C [m^2]: the choked orifice that passes as much air.
+
+    sqrt(R T_0) and the density, 1.185 kg/m^3, are those of ISO 6358's reference air.
+    """
+    return conductance * 1.185 * sqrt(287.05 * 293.15) / CHOKED
 
 
 def in_series(one: float, two: float) -> float:
@@ -108,7 +101,13 @@ def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
             raise InputError(f"{name}: {both}: the same in two units; expected one of them")
         if f"valve_c_{end}" in v:
             v[f"valve_cda_{end}"] = area_of(v[f"valve_c_{end}"])
-    for key, (low, high) in RANGES.items():
+    ranges = (
+        ("valve_b", 0.0, 0.9),
+        ("wall_heat", 0.0, 1e6),
+        ("wall_density", 0.0, 2.0),
+        ("kappa", 1.0, 1.7),
+    )
+    for key, low, high in ranges:
         if not low <= v[key] <= high:
             raise InputError(f"{name}: cylinder.{key}: {v[key]:g}; expected {low:g} to {high:g}")
     positive = ("bore", "stroke", "dead_volume_1", "valve_cda_in", "valve_cda_out")

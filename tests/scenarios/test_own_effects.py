@@ -71,7 +71,7 @@ def test_a_study_sweeps_it_in_workers(opc4, mine, tmp_path) -> None:
 
 @pytest.mark.parametrize("command", [("run", "lab_n_b"), ("whatif", "closed_chamber")])
 def test_a_bad_file_is_one_line(opc4, tmp_path, command) -> None:
-    (tmp_path / "mine.py").write_text("EFFECTS = (\n", encoding="utf-8")
+    (tmp_path / "mine.py").write_text("(\n", encoding="utf-8")
     done = opc4(*command, "--effects", "mine.py")
     assert done.returncode == 2 and "mine.py:1: not valid Python: '(' was never" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

@@ -25,6 +25,3 @@ def grip(position_m, force_n, length_m, end_m):
 def end_seal(setup, values):
     """Resistance force_n exp(-d / length_m) at a distance d from the end of the travel."""
     grip.add_to(setup, **values, end_m=setup.p.stroke)
-
-
-EFFECTS = (end_seal,)

@@ -313,11 +313,10 @@ GRIP = "    return force_n * exp(-left_m / length_m)"
 SIZE = 'EffectParameter("force_n", "N", neutral=0.0, low=0.0'
 WRONG = {
     "no Python": (GRIP, "    return return", r":13: not valid Python: invalid syntax; expected a Python"),
-    "no effects": ("EFFECTS = (end_seal,)", "", r": no EFFECTS; expected EFFECTS = "),
-    "no effect": ("(end_seal,)", "(3,)", r": EFFECTS: 3; expected functions under @effect"),
-    "exit": ("EFFECTS", "raise SystemExit(1)\nEFFECTS", r":30: SystemExit: 1; expected"),
-    "process": ("EFFECTS", "import os; os._exit(3)\nEFFECTS", r":30: ProcessExit: os\._exit\(3\)"),
-    "division": ("EFFECTS", "1 / 0\nEFFECTS", r":30: ZeroDivisionError: division by zero; expected"),
+    "no effect": ("setup.p.stroke)", "setup.p.stroke)\n\n\ndel end_seal", r": no effect; expected functions under @effect"),
+    "exit": ("setup.p.stroke)", "setup.p.stroke)\n\n\nraise SystemExit(1)", r":30: SystemExit: 1; expected"),
+    "process": ("setup.p.stroke)", "setup.p.stroke)\n\n\nimport os; os._exit(3)", r":30: ProcessExit: os\._exit\(3\)"),
+    "division": ("setup.p.stroke)", "setup.p.stroke)\n\n\n1 / 0", r":30: ZeroDivisionError: division by zero; expected"),
     "no import": ("math import exp", "maths import exp", r":3: ModuleNotFoundError: No module named"),
     "missing field": (", typical=50.0", "", r":21: TypeError: EffectParameter\(\) missing .* 'typical'"),
     "missing what": ('"force",\n', "\n", r":\d+: (TypeError|.*what)"),
@@ -418,7 +417,7 @@ def test_an_imported_effect_is_refused_in_one_line(
     helper = SEAL.replace("grip.add", line)
     (tmp_path / f"imported_{number}.py").write_text(helper, encoding="utf-8")
     path = tmp_path / "mine.py"
-    path.write_text(f"from imported_{number} import EFFECTS\n", encoding="utf-8")
+    path.write_text(f"from imported_{number} import end_seal\n", encoding="utf-8")
     with pytest.raises(InputError, match=message) as caught:
         load_effects(str(path))
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)

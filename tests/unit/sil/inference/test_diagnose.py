@@ -117,9 +117,6 @@ def push(speed_m_s, gain):
 def runaway(setup, values):
     """Force gain v^5 along the motion."""
     push.add_to(setup, **values)
-
-
-EFFECTS = (runaway,)
 '''
 
 
