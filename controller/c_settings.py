@@ -16,9 +16,6 @@ from controller.filters import butterworth
 STRATEGIES = ("open_loop", "blow_cut", "air_cushion", "synchro_brake", "sliding_mode")
 """Strategies whose parameters the struct holds: those of the firmware in C."""
 
-SECTIONS = 4
-"""Second-order sections of a filter of the highest order."""
-
 
 class _Member(NamedTuple):
     """A member with its value, or the begin (value None, name) or end (no name) of a nested struct."""
@@ -82,8 +79,8 @@ def _members(config: FirmwareConfig) -> Iterator[_Member]:
     sections = butterworth(filtering.order, filtering.fc_hz, 1.0 / config.sensor.period_s)
     yield _Member("section_count", len(sections))
     numbers = [number for section in sections for number in section]
-    numbers += [0.0] * (5 * SECTIONS - len(numbers))
-    yield _Member(f"sections[{SECTIONS}][5]", tuple(numbers), "b0, b1, b2, a1, a2 of each")
+    numbers += [0.0] * (5 * 4 - len(numbers))  # of a filter of the highest order
+    yield _Member("sections[4][5]", tuple(numbers), "b0, b1, b2, a1, a2 of each")
 
 
 @cache

@@ -50,7 +50,6 @@ from plant.trace import CMD, CURRENT, PULSE, SPEEDS, VALVE, TraceRows, TraceSink
 Released = list[tuple[int, Frame]]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
-DIRECTIONS = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}
 REFERRED = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
 
 
@@ -300,7 +299,9 @@ class PlantNode:
 
     def _arm_synchronizer(self, now_ns: int) -> None:
         stroke = self.stroke
-        direction = DIRECTIONS.get(self.driver.target, NO_GEAR)
+        direction = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}.get(
+            self.driver.target, NO_GEAR
+        )
         impulse = self.driveline.advance(
             now_ns, stroke.position_m, stroke.spent_impulse_n_s, direction
         )

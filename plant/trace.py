@@ -13,30 +13,38 @@ from plant.parts.damper import steady_oil_pressure
 from plant.systems.length_stroke import LengthStroke
 
 Floats = NDArray[np.float64]
-Update = tuple[int, int, float]  # instant in ns, column of SIGNALS + CURRENTS, value from then on
+Update = tuple[
+    int, int, float
+]  # instant in ns, column of the signals and currents, value from then on
 
 STATES = (
     *("position_m", "velocity_m_s", "piston_1_m", "piston_2_m"),
     *(f"pressure_{chamber}_pa" for chamber in ("B", "N", "F", "oil2")),
     "spent_impulse_n_s",
 )
-SIGNALS = (
+TRACE_COLUMNS = (
+    *("time_s", *STATES),
     *(f"cmd_{chamber}" for chamber in "BNF"),
     *(f"valve_{chamber}" for chamber in "BNF"),
     *("pulse_s", "input_rad_s", "output_rad_s"),
 )
-CURRENTS = ("current_B_a", "current_N_a", "current_F_a")
-TRACE_COLUMNS = ("time_s", *STATES, *SIGNALS)
 """Columns of a trace row: time, true states, and signals that hold between their changes: duty at
 the coil, actual valve position, duration in the latest pulse report (0 before the first), and shaft
 speeds as last published. A row shows what has changed at its very instant."""
 
-CMD, VALVE, PULSE, SPEEDS, CURRENT = 0, 3, 6, 7, 9  # where each group begins in SIGNALS + CURRENTS
+CMD, VALVE, PULSE, SPEEDS, CURRENT = (
+    0,
+    3,
+    6,
+    7,
+    9,
+)  # where each group begins in the signals and currents
 
 
 def trace_columns(drive: Drive) -> tuple[str, ...]:
     """Return the columns of a trace row; with coils also their currents."""
-    return TRACE_COLUMNS + CURRENTS if drive == "coil" else TRACE_COLUMNS
+    currents = tuple(f"current_{chamber}_a" for chamber in "BNF") if drive == "coil" else ()
+    return TRACE_COLUMNS + currents
 
 
 class TraceSink(Protocol):

@@ -37,8 +37,6 @@ LIMITED = {"critical": (Parameters.valve_b, 0.1, 0.58), "kappa": (Parameters.air
 """Quantities of a cylinder between two limits: parameter, and limits. They move by the normal
 distribution function, so that a fit of them has no bounds."""
 
-NORMAL = NormalDist()
-
 
 def shift(setup: Setup, name: str, amount: float) -> None:
     """Change one quantity of a setup: times exp(amount), "rise" and "fall" by seconds, "wall_density" by itself.
@@ -53,8 +51,9 @@ def shift(setup: Setup, name: str, amount: float) -> None:
     elif name in LIMITED:
         index, low, high = LIMITED[name]
         share = (setup.p[index] - low) / (high - low)
-        place = NORMAL.inv_cdf(min(max(share, 1e-6), 1.0 - 1e-6)) + amount
-        setup.p[index] = low + (high - low) * NORMAL.cdf(place)
+        normal = NormalDist()
+        place = normal.inv_cdf(min(max(share, 1e-6), 1.0 - 1e-6)) + amount
+        setup.p[index] = low + (high - low) * normal.cdf(place)
     elif name == "volume_b" and setup.p.air_kappa > 0.0:
         # of a cylinder's volume at the retracted end, what the piston does not sweep
         swept = setup.p.area_p2 * setup.p.stroke

@@ -23,9 +23,6 @@ from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
 
-OPTIONAL = cylinder.UNITS | calibration.UNITS
-"""Unit of every parameter that a set may lack."""
-
 
 class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number (or list of numbers) with its unit and where it comes from."""
@@ -180,7 +177,8 @@ def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> 
         for key, item in table.items()
     }
     possible = dict(base.entries if base else given if name == "nominal" else load().entries)
-    possible |= {path: Parameter(0.0, unit, "optional") for path, unit in OPTIONAL.items()}
+    optional = cylinder.UNITS | calibration.UNITS
+    possible |= {path: Parameter(0.0, unit, "optional") for path, unit in optional.items()}
     for path, item in given.items():
         if path not in possible:
             raise InputError(unknown_path(path, possible, name))
@@ -194,7 +192,7 @@ def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> 
         return ParameterSet(name, entries, {**base.effects, **effects})
     given = {"length.F_bond": possible["length.F_bond"]} | given  # a full set may leave it out
     for path in possible:
-        if path not in given and path not in OPTIONAL:
+        if path not in given and path not in optional:
             raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
     return ParameterSet(name, complete(given, name), effects)
 

@@ -11,16 +11,6 @@ import numpy as np
 
 from sil.campaign.binary_tables import Floats
 
-OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
-    ast.USub: operator.neg,
-    ast.UAdd: operator.pos,
-}
-
 
 def formula(text: str, columns: Mapping[str, Floats]) -> Floats:
     """Return a column [n] computed from others: numbers, + - * / **, names; quoted if not plain.
@@ -28,15 +18,24 @@ def formula(text: str, columns: Mapping[str, Floats]) -> Floats:
     `row` counts the rows from 0. Raises KeyError for an unknown name, ValueError for no formula.
     """
     count = len(next(iter(columns.values())))
+    operations: dict[type[ast.AST], Callable[..., Any]] = {
+        ast.Add: operator.add,
+        ast.Sub: operator.sub,
+        ast.Mult: operator.mul,
+        ast.Div: operator.truediv,
+        ast.Pow: operator.pow,
+        ast.USub: operator.neg,
+        ast.UAdd: operator.pos,
+    }
 
     def value(node: ast.AST) -> Any:
         match node:
             case ast.Expression():
                 return value(node.body)
             case ast.BinOp():
-                return OPERATIONS[type(node.op)](value(node.left), value(node.right))
+                return operations[type(node.op)](value(node.left), value(node.right))
             case ast.UnaryOp():
-                return OPERATIONS[type(node.op)](value(node.operand))
+                return operations[type(node.op)](value(node.operand))
             case ast.Constant(value=int() | float() as number):
                 return float(number)
             case ast.Constant(value=str() as name) | ast.Name(id=name):

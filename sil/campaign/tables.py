@@ -24,7 +24,6 @@ from sil.files.quantity import counted
 
 Decimal = Literal[".", ","]
 DELIMITERS = {"semicolon": ";", "tab": "\t", "comma": ",", "blank": " "}
-MOST_BYTES = 4 << 30  # the largest text that is read
 
 
 def _style(decimal: str, group: str) -> re.Pattern[str]:
@@ -60,7 +59,7 @@ def read_columns(
     """
     if path.suffix.lower() in BINARY:
         return read_binary(path)
-    raw = read_user_file(path, "a table with a header row", MOST_BYTES)
+    raw = read_user_file(path, "a table with a header row", 4 << 30)
     text, encoding = _decoded(raw)
     lines = text.splitlines()
     while lines and not lines[-1].strip():

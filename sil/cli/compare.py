@@ -19,8 +19,6 @@ ARGUMENTS = (
     *(*out("runs/compare-N"), JSON),
 )
 
-EVENTS_PRINTED = 20
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare and print; return the exit code. Raises InputError for what is not a finished run."""
@@ -59,10 +57,10 @@ def run(arguments: argparse.Namespace) -> int:
         print("\n".join(table_lines(heads, [row.cells() for row in metrics])))
         if events:
             print(f"\nevents that differ: {len(events)}, by shift and time after the request:")
-            cells = [event_cells(row) for row in events[:EVENTS_PRINTED]]
+            cells = [event_cells(row) for row in events[:20]]
             print("\n".join(table_lines(heads, cells)))
-        if len(events) > EVENTS_PRINTED:
-            print(f"and {len(events) - EVENTS_PRINTED} more, in compare.json")
+        if (more := len(events) - 20) > 0:
+            print(f"and {more} more, in compare.json")
         print(f"traces {'equal to the bit' if equal else 'differ'}; figure and page in {folder}")
     close_folders(None)
     return 1 if arguments.exact and not equal else 0

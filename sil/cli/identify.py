@@ -11,10 +11,13 @@ from dataclasses import asdict
 
 from sil.cli.options import JSON, argument, out
 
-WHAT = ("flow", "friction", "alpha", "damper")
-
 ARGUMENTS = (
-    argument("what", ", ".join(WHAT), "WHAT", choices=WHAT),
+    argument(
+        "what",
+        "flow, friction, alpha, damper",
+        "WHAT",
+        choices=("flow", "friction", "alpha", "damper"),
+    ),
     argument("campaign", "campaign folder", "CAMPAIGN"),
     argument("--model", "parameter set or model file", "MODEL", default="nominal"),
     *out("runs/CAMPAIGN-WHAT-N"),

@@ -21,9 +21,6 @@ from pathlib import Path
 from can_dbc.errors import InputError
 from sil.cli.options import MODEL, SEED, SETTINGS, argument, say
 
-WAIT_S = 300.0  # the first start on a machine compiles the plant's equations
-
-
 ARGUMENTS = (
     argument("participant", "who takes part", choices=("plant", "controller")),
     argument("--channel", "where the run is", "local:NAME|INTERFACE", required=True),
@@ -31,10 +28,10 @@ ARGUMENTS = (
     SEED,
     argument(
         "--timeout",
-        f"how long to wait for the run [{WAIT_S:g}]",
+        "how long to wait for the run [300]",
         "SECONDS",
         type=float,
-        default=WAIT_S,
+        default=300.0,  # the first start on a machine compiles the plant's equations
     ),
     argument("--out", "where the plant records [.]", "DIR", type=Path, default=Path()),
     argument("--force", "replace the records in DIR"),

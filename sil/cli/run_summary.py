@@ -13,14 +13,12 @@ from sil.simulation.runner import Finished
 from sil.simulation.safety import fault_lines
 from sil.simulation.scenario import Scenario
 
-SHIFTS_PRINTED = 12
-
 
 def summary_lines(finished: Finished, folder: Path, changed_name: str) -> Iterator[str]:
     """Yield the checks, changes, shifts and files; `changed_name`: of a shipped scenario with other values."""
     result = finished.result
     failed = [check for check in result.expectations if not check.passed]
-    shifts = [_shift_line(shift) for shift in finished.shifts[:SHIFTS_PRINTED]]
+    shifts = [_shift_line(shift) for shift in finished.shifts[:12]]
     changes = result.changes
     if changes is None:
         met = f"{len(result.expectations) - len(failed)} of {len(result.expectations)}"
@@ -31,9 +29,8 @@ def summary_lines(finished: Finished, folder: Path, changed_name: str) -> Iterat
     for check in failed:
         yield f"  not met: {check}"
     yield from (f"  {line}" for line in shifts)
-    if len(finished.shifts) > SHIFTS_PRINTED:
-        more = counted(len(finished.shifts) - SHIFTS_PRINTED, "more shift")
-        yield f"  and {more}, in result.json"
+    if (more := len(finished.shifts) - 12) > 0:
+        yield f"  and {counted(more, 'more shift')}, in result.json"
     if changes is not None:
         head = ("", "as shipped", "now", "difference")
         rows = [row.cells() for row in changes.metrics]

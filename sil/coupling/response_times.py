@@ -32,8 +32,6 @@ from sil.coupling.frame_bits import INTERMISSION_BITS, longest_frame_bits
 if TYPE_CHECKING:
     from cantools.database import Database
 
-MAX_STEPS = 20_000
-
 
 @dataclass(frozen=True, slots=True)
 class PeriodicMessage:
@@ -149,7 +147,11 @@ def response_times(messages: Sequence[PeriodicMessage], bitrate: int) -> tuple[R
 
 
 def _response_time(
-    ranked: Sequence[PeriodicMessage], costs: Sequence[int], index: int, bit_ns: int
+    ranked: Sequence[PeriodicMessage],
+    costs: Sequence[int],
+    index: int,
+    bit_ns: int,
+    most: int = 20_000,
 ) -> ResponseTime:
     message, cost = ranked[index], costs[index]
     higher = list(zip(ranked[:index], costs[:index], strict=True))
@@ -159,11 +161,11 @@ def _response_time(
         return sum(-(-(until_ns + k.jitter_ns) // k.period_ns) * c for k, c in sources)
 
     busy, longer, steps = 0, cost, 0
-    while longer != busy and steps < MAX_STEPS:
+    while longer != busy and steps < most:
         busy, steps = longer, steps + 1
         longer = blocking + interference(busy, [*higher, (message, cost)])
     instances = -(-(busy + message.jitter_ns) // message.period_ns)
-    if longer != busy or instances > MAX_STEPS:
+    if longer != busy or instances > most:
         raise InputError(
             f"bus: {message.name}: with the more urgent messages it loads the bus so close to "
             "100 % that its busy period has no useful end; expected a lower load"

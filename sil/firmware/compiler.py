@@ -24,7 +24,6 @@ from sil.files.extras import install_command
 from sil.firmware.contract import header
 
 STACK_BYTES = 65536
-MOST_LINES = 60  # what is printed of a compiler's messages
 EXPORTS = ("fw_in", "fw_out", "fw_contract", "fw_init", "fw_step")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion")
 
@@ -115,9 +114,9 @@ def _call(path: Path, command: tuple[str, ...]) -> str:
         raise InputError(f"{path}: {what}; expected C source") from None
     said = done.stderr.decode(errors="replace")
     lines = said.splitlines(keepends=True)
-    sys.stderr.writelines(lines[:MOST_LINES])
-    if len(lines) > MOST_LINES:
-        sys.stderr.write(f"and {len(lines) - MOST_LINES} more lines of the compiler\n")
+    sys.stderr.writelines(lines[:60])
+    if (more := len(lines) - 60) > 0:
+        sys.stderr.write(f"and {more} more lines of the compiler\n")
     if done.returncode != 0:
         raise InputError(f"{path}: does not compile, see above; expected C99 that includes opc4.h")
     return said

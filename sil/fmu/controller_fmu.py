@@ -12,12 +12,6 @@ from typing import Any
 
 from pythonfmu3 import DefaultExperiment, Float64, Fmi3Slave, Int32
 
-CODES_IN = {"sample_index": "number of the latest pulse, 0 to 255; -1 before the first",
-            "request": "gear: 0 neutral, 1 backward, 2 forward"}  # fmt: skip
-CODES_OUT = {"blow_chamber": "0 B, 1 N, 2 F, 3 none", "state": "of the shift state machine",
-             "confirmed": "gear: 0 neutral, 1 backward, 2 forward, 3 unknown",
-             "faults": "bits of the reported faults"}  # fmt: skip
-
 
 class Opc4Controller(Fmi3Slave):
     """The OPC4 firmware at its own period."""
@@ -44,13 +38,23 @@ class Opc4Controller(Fmi3Slave):
         self._last_index = -1
         shafts = {"input_rad_s": 0.0, "output_rad_s": 0.0}
         numbers_in = {"pulse_s": 0.0, "coil_temperature_k": 293.15, **shafts}
+        about_in = {
+            "sample_index": "number of the latest pulse, 0 to 255; -1 before the first",
+            "request": "gear: 0 neutral, 1 backward, 2 forward",
+        }
         codes_in = {"sample_index": -1, "request": int(gear_of(scenario.initial_gear))}
-        codes_out = dict.fromkeys(CODES_OUT, 0) | {"blow_chamber": 3, "confirmed": 3}
+        about_out = {
+            "blow_chamber": "0 B, 1 N, 2 F, 3 none",
+            "state": "of the shift state machine",
+            "confirmed": "gear: 0 neutral, 1 backward, 2 forward, 3 unknown",
+            "faults": "bits of the reported faults",
+        }
+        codes_out = dict.fromkeys(about_out, 0) | {"blow_chamber": 3, "confirmed": 3}
         declare(self, Float64, numbers_in, output=False)
-        declare(self, Int32, codes_in, output=False, descriptions=CODES_IN)
+        declare(self, Int32, codes_in, output=False, descriptions=about_in)
         numbers_out = ("duty_b", "duty_n", "duty_f", "blow_remaining_s", "estimate_m")
         declare(self, Float64, dict.fromkeys(numbers_out, 0.0), output=True)
-        declare(self, Int32, codes_out, output=True, descriptions=CODES_OUT)
+        declare(self, Int32, codes_out, output=True, descriptions=about_out)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Step the firmware at each of its ticks within this communication step."""

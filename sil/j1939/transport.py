@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 PGN_CONTROL: Final = 0xEC00
 PGN_DATA: Final = 0xEB00
-GLOBAL: Final = 0xFF
-"""Destination address of a message to all."""
 
 BAM_PERIOD_NS: Final = 50_000_000
 """Least time from one frame of a message to all to its next."""
@@ -119,7 +117,7 @@ class Assembler:
         if kind in (_RTS, _BAM):
             self._close(key, "new announcement before the end")
             size, pgn = data[1] | data[2] << 8, int.from_bytes(data[5:8], "little")
-            transfer = _Transfer(pgn, size, key[2] != GLOBAL, frame.time_ns)
+            transfer = _Transfer(pgn, size, key[2] != 0xFF, frame.time_ns)
             if LEAST_BYTES <= size <= MOST_BYTES and data[3] == transfer.count:
                 self._transfers[key] = transfer
             else:

@@ -19,8 +19,6 @@ from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.plots import content
 from sil.studies.table import RESULTS, numbers_of
 
-PAGES = ("report.html", "shift.png", "shift.svg")  # files of a run that the page may open
-
 
 def listed(folder: Path) -> list[dict[str, Any]]:
     """Return name, kind, state and figures of each output below a folder, newest first."""

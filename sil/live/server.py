@@ -31,16 +31,6 @@ from sil.live.bench import Asked
 HOST = "127.0.0.1"
 MAX_CONNECTIONS = 64
 MAX_BODY_BYTES = 1 << 20
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-        "img-src 'self' data:; connect-src 'self'"
-    ),
-}
 
 Log = Callable[[str], None]
 
@@ -96,8 +86,15 @@ class _Handler(web.RequestHandler):
         self.shared = shared
 
     def set_default_headers(self) -> None:
-        for name, value in HEADERS.items():
-            self.set_header(name, value)
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("X-Frame-Options", "DENY")
+        self.set_header(
+            "Content-Security-Policy",
+            "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+            "img-src 'self' data:; connect-src 'self'",
+        )
 
     def token(self) -> str | None:
         return self.get_cookie(self.shared.cookie)
@@ -176,10 +173,14 @@ class _RunPage(_Handler):
             path = runs.inside(self.shared.folder, name) / file
         except InputError:
             raise web.HTTPError(404) from None
-        if file not in runs.PAGES or path.is_symlink() or not path.is_file():
+        kind = {
+            "report.html": "text/html; charset=utf-8",
+            "shift.png": "image/png",
+            "shift.svg": "image/svg+xml",
+        }.get(file)
+        if kind is None or path.is_symlink() or not path.is_file():
             raise web.HTTPError(404)
-        kind = {".html": "text/html; charset=utf-8", ".png": "image/png", ".svg": "image/svg+xml"}
-        self.set_header("Content-Type", kind[path.suffix])
+        self.set_header("Content-Type", kind)
         self.finish(path.read_bytes())
 
 

@@ -29,11 +29,6 @@ PHASES: Final = {
 AROUND_S: Final = 1.5
 """Recorded time before and after a shift that is looked at."""
 
-SLOWEST_RAD_S: Final = 2.1
-"""Output speed (20 rpm) below which a ratio means nothing."""
-
-LEAST_TORQUE: Final = 0.1
-"""A change of the engine's torque by less than this share of the reference torque is none."""
 
 SYNCHRONISED_RAD_S: Final = 2.0
 LONGEST_GAP_S: Final = 0.35
@@ -161,7 +156,7 @@ def _speeds(recorded: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     time = entry.time_s
     w_in, w_out = entry.values, np.interp(time, output.time_s, output.values)
     steady_before, settled_after = (start_s - 0.6, start_s - 0.05), (end_s + 0.1, end_s + 0.7)
-    moving = w_out > SLOWEST_RAD_S
+    moving = w_out > 2.1  # 20 rpm: below, a ratio means nothing
     ratios = w_in[moving] / w_out[moving]
     possible = (ratios > 0.2) & (ratios < 40.0)  # others: neutral, the clutch or a sensor
     ratio = Samples(time[moving][possible], ratios[possible], "")
@@ -170,7 +165,7 @@ def _speeds(recorded: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     from_gear = bool(recorded.shift.from_gear)
     if not recorded.shift.to_gear:
         return
-    slow = during is None or during < SLOWEST_RAD_S
+    slow = during is None or during < 2.1
     if new is None or during is None or slow or (old is None and from_gear):
         note("speed ratios not known: the vehicle too slow, or no speeds")
         return
@@ -250,7 +245,7 @@ def _reported_gears(recorded: RecordedShift) -> None:
 
 
 def _torque(recorded: RecordedShift) -> None:
-    """Fill in the cut of the engine's torque, and when it is back."""
+    """Fill in the cut of the engine's torque, and when it is back; a change by less than 10 % is none."""
     torque, times = recorded.signals["engine_torque_share"], recorded.times_s
     if torque is None:
         recorded.notes.append("engine torque not available: torque cut and return not known")
@@ -260,7 +255,7 @@ def _torque(recorded: RecordedShift) -> None:
     during = torque.within(0.0, until + torque.period_s)
     if before is not None and len(during.values) > 1:
         least = float(np.min(during.values))
-        if before - least >= LEAST_TORQUE:
+        if before - least >= 0.1:
             cut = during.values <= least + 0.1 * (before - least)
             _set(recorded, "torque_cut", during.time_s, int(np.argmax(cut)))
         else:
@@ -271,7 +266,7 @@ def _torque(recorded: RecordedShift) -> None:
     if engaged is None or after is None:
         return
     later = torque.within(engaged, recorded.end_s + AROUND_S)
-    if len(later.values) > 1 and after - later.values[0] >= LEAST_TORQUE:
+    if len(later.values) > 1 and after - later.values[0] >= 0.1:
         back = later.values >= later.values[0] + 0.9 * (after - later.values[0])
         if back.any():
             _set(recorded, "torque_back", later.time_s, int(np.argmax(back)))

@@ -18,8 +18,6 @@ from sil.coupling.transports.channel import Participant, Received, Turn
 
 Released = list[tuple[int, Frame]]  # frames with their release instants, ns
 
-TRAFFIC_WINDOW_NS = 10_000_000
-TRAFFIC_NODES = 16
 INTRUDER_STEP_NS = 1_000_000
 BABBLED_PGN, INTRUDER_SOURCE = 0xFE20, 0xFB
 _NS_PER_US = 1000
@@ -112,17 +110,17 @@ class TrafficNode(Node):
         draw = random.Random(f"{seed}:traffic")
 
         def can_id() -> int:
-            source = 0x80 + draw.randrange(TRAFFIC_NODES)
-            return join_id(priority, 0xFE00 + draw.randrange(TRAFFIC_NODES), source)
+            source = 0x80 + draw.randrange(16)
+            return join_id(priority, 0xFE00 + draw.randrange(16), source)
 
-        self._load = _Load(load, TRAFFIC_WINDOW_NS, bitrate, draw, can_id)
+        self._load = _Load(load, 10_000_000, bitrate, draw, can_id)
         self._next_ns = 0
 
     def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Release the frames of the window that begins at `until_ns`."""
         if until_ns < self._next_ns:  # the run ends between two windows
             return [], self._next_ns
-        self._next_ns = until_ns + TRAFFIC_WINDOW_NS
+        self._next_ns = until_ns + 10_000_000
         return sorted(self._load.released(until_ns)), self._next_ns
 
 

@@ -18,8 +18,6 @@ from sil.recording.runs import true_runs
 Floats = NDArray[np.float64]
 MM, BAR, MS = 1e3, 1e-5, 1e3  # factors from SI units to the units of figures
 
-VIRIDIS = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#fde725")
-
 
 @dataclass(frozen=True)
 class Series:
@@ -98,7 +96,16 @@ class ColourScale:
     label: str
     low: float
     high: float
-    colours: Sequence[str] = VIRIDIS
+    colours: Sequence[str] = (
+        "#440154",
+        "#472d7b",
+        "#3b528b",
+        "#2c728e",
+        "#21918c",
+        "#28ae80",
+        "#5ec962",
+        "#fde725",
+    )
 
     def colour(self, value: float) -> str:
         """Return the colour of a value as "#rrggbb"; values outside have the colour of the end."""

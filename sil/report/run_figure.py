@@ -396,9 +396,6 @@ def bus_panel(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     return Panel(title, spans=spans, ticks=ticks, keys=keys, height=160, limits=limits)
 
 
-RPM = 30.0 / np.pi
-
-
 def without_torque(record: RunRecord) -> list[tuple[float, float]]:
     """Return from when to when [s] the engine gave less torque than the driver asked for."""
     times, torques = record.series(Eec1, "torque")
@@ -438,7 +435,7 @@ def _speed(record: RunRecord) -> Panel:
     for label, kind, role in (("engine", Eec1, "truth"), ("requested (TSC1)", Tsc1, "alarm")):
         times, values = record.series(kind, "speed_rad_s")
         speed = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-        lines.append(Series(label, times * MS, speed * RPM, role, "stepped"))
+        lines.append(Series(label, times * MS, speed * (30.0 / np.pi), role, "stepped"))
     return Panel("Engine speed", "1/min", lines, height=120)
 
 

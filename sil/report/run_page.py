@@ -26,13 +26,6 @@ if TYPE_CHECKING:
     from sil.simulation.runner import Finished
 
 
-SHOWS = "Position, valves, pressures, firmware states and CAN frames over simulated time"
-CAPTION = (
-    "True position against the controller's estimate; commanded against actual valve states; chamber "
-    "pressures; firmware states; every CAN frame from its release to its arrival. One time axis per shift."
-)
-
-
 def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the figures at the top of the page."""
     left_out = ("impact_worst_m_s", "confirmed_early_s", "bus_lag_10_s", "bus_lag_90_s", "frames")
@@ -46,6 +39,11 @@ def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
 def run_page(result: Result, picture: bytes | None, groups: Sequence[PlotGroup] = ()) -> str:
     """Return the page of a run; `picture` is a PNG on light paper, `groups` show the same figure."""
     plain = msgspec.to_builtins(result)
+    shown = "Position, valves, pressures, firmware states and CAN frames over simulated time"
+    caption = (
+        "True position against the controller's estimate; commanded against actual valve states; chamber "
+        "pressures; firmware states; every CAN frame from its release to its arrival. One time axis per shift."
+    )
     keys = ("versions", "balances", "speed", "bus", "scenario", "model")
     details = {key: plain[key] for key in keys}
     head = Head(
@@ -62,7 +60,7 @@ def run_page(result: Result, picture: bytes | None, groups: Sequence[PlotGroup] 
         groups,
         result=plain,
         changes=[] if result.changes is None else [row.cells() for row in result.changes.metrics],
-        picture=None if picture is None else Picture(picture, SHOWS, CAPTION),
+        picture=None if picture is None else Picture(picture, shown, caption),
         details=json.dumps(finite(details), indent=1, ensure_ascii=False),
     )
 

@@ -41,8 +41,6 @@ from sil.rules.reports import SENDER, accepted, falsely_reported, sent
 from sil.rules.rule import Broken, Circumstances, Rule
 
 PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
-STAGES = (ShiftState.BLOW, ShiftState.HOLD, ShiftState.VENT, ShiftState.IDLE)
-UNDER_WAY = (ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.BLOW, ShiftState.VENT)
 
 
 def orphaned(record: RunRecord, circumstances: Circumstances) -> NDArray[np.bool_]:
@@ -215,7 +213,11 @@ def _early_refusal(record: RunRecord, circumstances: Circumstances) -> Broken:
             what = f"a push is given up after {at_s - pushed_s:.2f} s; its attempts last {least_s:.2f} s"
             return None if circumstances.disturbed else (at_s, what)
         timed_out = expired
-        if status.state not in UNDER_WAY:  # a push goes on after a blow in which the stay slipped
+        if status.state not in (
+            *PUSHING,
+            ShiftState.BLOW,
+            ShiftState.VENT,
+        ):  # a push goes on after a blow in which the stay slipped
             pushed_s = at_s
     return None
 
@@ -270,14 +272,15 @@ def _cut_short(record: RunRecord, circumstances: Circumstances) -> Broken:
     if control.strategy == "blow_cut":
         limits = parameters("blow_cut", control.strategy_parameters)
         blow_s = min(blow_s, limits.otherwise_s)  # type: ignore[attr-defined]
+    stages = (ShiftState.BLOW, ShiftState.HOLD, ShiftState.VENT, ShiftState.IDLE)
     set_s = (blow_s, control.shift.hold_s, control.shift.vent_s)
     requests, tolerance_s = list(_request_changes(record)), 2.0 * control.period_s
     begun_s, before = math.inf, ShiftState.INIT
     for at_s, status in sent(record, ControllerStatus):
         stage = ShiftState.BLOW if before in PUSHING else before  # one of no length
-        ends = stage in STAGES[:-1] and status.state is STAGES[STAGES.index(stage) + 1]
+        ends = stage in stages[:-1] and status.state is stages[stages.index(stage) + 1]
         lasted_s = at_s - begun_s if stage is before else 0.0
-        least_s = set_s[STAGES.index(stage)] - tolerance_s if ends else -math.inf
+        least_s = set_s[stages.index(stage)] - tolerance_s if ends else -math.inf
         if lasted_s < least_s * circumstances.slow_clock:
             since_s, gear = at_s - lasted_s - tolerance_s, status.confirmed
             if any(r.target == gear and t < since_s and at_s < u for t, r, u in requests):

@@ -13,7 +13,6 @@ from typing import Final
 from sil.shifts.reported import word_at
 
 PGN_EEC1: Final = 61444
-AROUND_NS: Final = 500_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +90,9 @@ class EngineTrace:
 
     def figures(self, start_ns: int, end_ns: int) -> EngineFigures | None:
         """Return the figures of a shift, None if the log has no samples before and during it."""
-        begin = bisect_left(self.time_ns, start_ns - AROUND_NS)
+        begin = bisect_left(self.time_ns, start_ns - 500_000_000)
         first, last = bisect_left(self.time_ns, start_ns), bisect_right(self.time_ns, end_ns)
-        end = bisect_right(self.time_ns, end_ns + AROUND_NS)
+        end = bisect_right(self.time_ns, end_ns + 500_000_000)
         if begin == first or first >= last:
             return None
         torques, speeds = self.torque_percent, self.speed_rpm

@@ -69,14 +69,11 @@ def write_page(
     write_atomically(folder / "report.html", page)
 
 
-MOST_LISTED_ROWS = 40  # a study of more rows shows groups, by their medians
-
-
 def shown_rows(study: Study, table: Table) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the shown table: metrics and differences, or medians of groups."""
+    """Return head and rows of the shown table: metrics and differences, or of more than 40 rows the medians of groups."""
     metrics = [name for name in read_metrics(study)[:6] if np.isfinite(table.numbers[name]).any()]
     baseline = baseline_rows(study, table)
-    if table.size <= MOST_LISTED_ROWS:
+    if table.size <= 40:
         groups = {label: np.array([k]) for k, label in enumerate(row_labels(study, table))}
     else:
         groups = study.row_groups(table)

@@ -97,7 +97,6 @@ PARAMETERS: dict[str, Draw] = {
     "factor": _between(1.0, 20.0),
 }
 """How the parameters of faults are drawn; a parameter that is not in here cannot be left out."""
-NEEDED = ("delay_s", "period_s", "can_id")
 
 
 def window(rng: random.Random, requests_s: Sequence[float]) -> dict[str, float]:
@@ -122,10 +121,11 @@ def state(table: dict[str, Any], fault: FaultKind, rng: random.Random) -> None:
         "kind": fault.kind,
         **window(rng, [request["at_s"] for request in table["request"]]),
     }
+    needed = ("delay_s", "period_s", "can_id")
     for name in (f.name for f in msgspec.structs.fields(fault.type)):
         if name in ("message", "node", "valve"):
             stated[name] = fault.whom
-        elif name not in stated and name != "end_s" and (name in NEEDED or rng.random() < 0.5):
+        elif name not in stated and name != "end_s" and (name in needed or rng.random() < 0.5):
             stated[name] = PARAMETERS[name](rng)
     if fault.kind == "replayed" and rng.random() < 0.5:  # when the counter has come round
         period_s = 0.02 if fault.whom == "ShiftRequest" else 0.01
@@ -142,7 +142,6 @@ def state(table: dict[str, Any], fault: FaultKind, rng: random.Random) -> None:
 Table = dict[str, Any]
 GEARS = ("neutral", "backward", "forward")
 
-SUPPLIES_PA = ((1.2e5, 3e5), (4e5, 1e6), (4e5, 1e6))  # too low for most shifts, and usual
 
 DRAWN_SETTINGS: dict[str, tuple[Any, ...]] = {
     "period_s": (0.0025, 0.005),
@@ -176,12 +175,13 @@ def new_table(rng: random.Random, base: Mapping[str, Any]) -> Table:
     _add_request(table, rng, rng.uniform(0.0, 0.4))
     for _ in range(rng.choice([0, 1, 2, 3])):
         _add_request(table, rng)
+    low, usual = (1.2e5, 3e5), (4e5, 1e6)  # too low for most shifts, and usual
     table["plant"] = {
         **table.get("plant", {}),
         "mounted": rng.random() < 0.7,
         "mesh_force_n": round(rng.uniform(0.0, 1300.0)),
         "pull_force_n": round(rng.uniform(0.0, 1100.0)),
-        "supply_pressure_pa": round(rng.uniform(*rng.choice(SUPPLIES_PA)), -3),
+        "supply_pressure_pa": round(rng.uniform(*rng.choice((low, usual, usual))), -3),
     }
     table["driveline"] = table.get("driveline", {}) | {
         f"impulse_{gear}_n_s": rng.choice([0.0, 18.0, 78.0, 250.0])

@@ -19,8 +19,6 @@ from sil.coupling.transports.channel import Participant, Received, silent
 from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifeline_address
 from sil.coupling.transports.wire import Kind
 
-START_TIMEOUT_S = 60.0
-
 
 class LocalLink:
     """The link to a `Hub`, for which it waits as `address.connect` does."""
@@ -254,7 +252,7 @@ class Session:
 
 
 def open_link(
-    channel: str, start_timeout_s: float = START_TIMEOUT_S, say: Callable[[str], None] = silent
+    channel: str, start_timeout_s: float = 60.0, say: Callable[[str], None] = silent
 ) -> Link:
     """Return the link to a run: `local:NAME` (waits for its hub, which `say` takes), or a CAN interface's name.
 
@@ -269,7 +267,7 @@ def take_part(
     link: Link,
     *,
     scenario: int = 0,
-    start_timeout_s: float = START_TIMEOUT_S,
+    start_timeout_s: float = 60.0,
     say: Callable[[str], None] = silent,
 ) -> None:
     """Run one participant from Hello to Stop; the main loop of `opc4 node`.

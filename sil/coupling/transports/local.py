@@ -21,7 +21,6 @@ from sil.coupling.transports.channel import silent
 from sil.coupling.transports.server import epoch_ns
 from sil.coupling.transports.wire import Kind
 
-ONLY_CHANNEL = "auto"
 _GREETING_S = 1.0
 
 
@@ -34,7 +33,7 @@ class LocalBus(can.BusABC):
 
     def __init__(
         self,
-        channel: str = ONLY_CHANNEL,
+        channel: str = "auto",
         can_filters: can.typechecking.CanFilters | None = None,
         receive_own_messages: bool = False,
         wait_s: float = 0.0,
@@ -47,7 +46,7 @@ class LocalBus(can.BusABC):
         """
         self._connection: socket.socket | None = None
         try:
-            name = _only_channel() if channel == ONLY_CHANNEL else str(channel)
+            name = _only_channel() if channel == "auto" else str(channel)
             self._path = address.socket_path(name)
             self._connection = address.connect(name, wait_s, say)
         except (InputError, RunError) as error:

@@ -26,8 +26,6 @@ _RECEIVE_BUFFER_BYTES = 8 << 20
 _REMOTE_FRAME = 0x4000_0000
 _FULL_QUEUE_WAIT_S = 2.0
 EXPECTED = "expected inproc, local, local:NAME, or the name of a CAN interface"
-UNREAD_WINDOW = 256
-"""Records that may wait unread for a participant; a default receive buffer holds about 400."""
 
 PARTICIPANT_VIEW = (
     (SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED | _REMOTE_FRAME | EDP_BIT),
@@ -159,9 +157,9 @@ class SocketCan(RemoteChannel):
         return turns
 
     def _let_them_read(self) -> None:
-        """Wait for participants with so much unread that a small buffer might soon overflow."""
+        """Wait for participants with so much unread that a default receive buffer, of about 400 records, might overflow."""
         for peer in self._peers.values():
-            if peer.unread > UNREAD_WINDOW and not peer.retired:
+            if peer.unread > 256 and not peer.retired:
                 self._can.send(wire.control(Kind.SYNC, peer.number))
                 deadline = time.monotonic() + self._timeouts.answer_s
                 while peer.unread:

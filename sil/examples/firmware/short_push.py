@@ -7,8 +7,6 @@ arrives as before. The air is not saved: the shipped blow after the confirmation
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs, Outputs
 
-PUSH_NS = 30_000_000
-
 
 class ShortPush(Firmware):
     """The shipped firmware with a limit on how long a valve is driven."""
@@ -19,7 +17,7 @@ class ShortPush(Firmware):
         self.began_ns: int | None = None
 
     def step(self, now_ns: int, inputs: Inputs) -> Outputs:
-        """Return the messages of one period; the valves are off PUSH_NS after they were first on."""
+        """Return the messages of one period; the valves are off 30 ms after they were first on."""
         outputs = super().step(now_ns, inputs)
         valves = outputs.valves
         if not (valves.duty_b or valves.duty_n or valves.duty_f):
@@ -27,7 +25,7 @@ class ShortPush(Firmware):
             return outputs
         if self.began_ns is None:
             self.began_ns = now_ns
-        if now_ns - self.began_ns < PUSH_NS:
+        if now_ns - self.began_ns < 30_000_000:
             return outputs
         off = type(valves)(duty_b=0.0, duty_n=0.0, duty_f=0.0, target=valves.target)
         return outputs._replace(valves=off)
