@@ -16,16 +16,16 @@ from can_dbc.user_file import read_user_file
 if TYPE_CHECKING:
     from cantools.database import Database
 
-LARGEST_FILE = 64 << 20
 
-
-def load_dbc(path: str | os.PathLike[str], strict: bool = True) -> Database:
+def load_dbc(
+    path: str | os.PathLike[str], strict: bool = True, most_bytes: int = 64 << 20
+) -> Database:
     """Read a DBC file, in UTF-8 or else in Windows-1252; `strict` refuses signals that overlap or leave their message.
 
     Raises InputError with file, line (where it is known) and reason for all that is wrong.
     """
     source = os.fspath(path)
-    return parse_dbc(read_user_file(source, "a DBC file", LARGEST_FILE), source, strict)
+    return parse_dbc(read_user_file(source, "a DBC file", most_bytes), source, strict)
 
 
 def parse_dbc(content: bytes, source: str = "DBC", strict: bool = True) -> Database:

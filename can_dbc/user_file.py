@@ -13,13 +13,8 @@ from typing import Any, BinaryIO
 
 from can_dbc.errors import InputError
 
-MOST_BYTES = 4 << 20
-"""The largest settings file that is read."""
 
-
-def read_user_file(
-    path: str | os.PathLike[str], expected: str, most_bytes: int = MOST_BYTES
-) -> bytes:
+def read_user_file(path: str | os.PathLike[str], expected: str, most_bytes: int = 4 << 20) -> bytes:
     """Return the content of a file; `expected` says in messages what it should be.
 
     Raises InputError for a file that is missing, no regular one, unreadable, or larger than `most_bytes`.
@@ -60,9 +55,7 @@ def regular_file(path: str | os.PathLike[str], expected: str) -> Iterator[Binary
         raise InputError(f"{source!r}: {why}; expected {expected}") from None
 
 
-def read_user_text(
-    path: str | os.PathLike[str], expected: str, most_bytes: int = MOST_BYTES
-) -> str:
+def read_user_text(path: str | os.PathLike[str], expected: str, most_bytes: int = 4 << 20) -> str:
     """Return the text of a UTF-8 file, without its byte order mark.
 
     Raises InputError as `read_user_file` does, and for bytes that are not UTF-8, with their line.

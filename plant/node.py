@@ -50,7 +50,6 @@ from plant.trace import CMD, CURRENT, PULSE, SPEEDS, VALVE, TraceRows, TraceSink
 Released = list[tuple[int, Frame]]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
-REFERRED = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
 
 
 EventSink = Callable[[float, str, Mapping[str, float]], None]
@@ -273,7 +272,8 @@ class PlantNode:
                 now_ns, line.input_rad_s, line.output_rad_s, line.ratio
             )
             if speeds is not None:
-                message = DrivelineSpeeds(*speeds, REFERRED[line.referred])
+                gears = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
+                message = DrivelineSpeeds(*speeds, gears[line.referred])
                 frames.append(self._protect_speeds.protect(message))
             updates.append((now_ns, SPEEDS, line.input_rad_s))
             updates.append((now_ns, SPEEDS + 1, line.output_rad_s))

@@ -33,23 +33,23 @@ FACTORS: dict[str, tuple[int, ...]] = {
 }
 """Quantities that differ by a factor, and the parameters that it scales."""
 
-LIMITED = {"critical": (Parameters.valve_b, 0.1, 0.58), "kappa": (Parameters.air_kappa, 1.0, 1.45)}
-"""Quantities of a cylinder between two limits: parameter, and limits. They move by the normal
-distribution function, so that a fit of them has no bounds."""
-
 
 def shift(setup: Setup, name: str, amount: float) -> None:
     """Change one quantity of a setup: times exp(amount), "rise" and "fall" by seconds, "wall_density" by itself.
 
-    Relative amounts add up in logarithms. What is `LIMITED` moves by standard deviations of a normal distribution that
-    the limits map to its tails.
+    Relative amounts add up in logarithms. What is limited moves by standard deviations of a normal distribution that
+    the limits map to its tails, so that a fit of it has no bounds.
     """
+    limited = {
+        "critical": (Parameters.valve_b, 0.1, 0.58),
+        "kappa": (Parameters.air_kappa, 1.0, 1.45),
+    }
     if name in ("rise", "fall"):
         shift_delay(setup, name, amount)
     elif name == "wall_density":
         setup.p.wall_density = max(0.0, setup.p.wall_density + amount)
-    elif name in LIMITED:
-        index, low, high = LIMITED[name]
+    elif name in limited:
+        index, low, high = limited[name]
         share = (setup.p[index] - low) / (high - low)
         normal = NormalDist()
         place = normal.inv_cdf(min(max(share, 1e-6), 1.0 - 1e-6)) + amount

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from sil.coupling.clock import NS_PER_S
-from sil.coupling.frame_bits import EOF_BITS, INTERMISSION_BITS, frame_bits
+from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 
 
 class BusFrame(NamedTuple):
@@ -226,8 +226,8 @@ class BusModel:
         heappush(self._arriving, (delivery.arrival_ns, self._serial, delivery))
 
     def _reject(self, start_ns: int, bits: int, entry: _Ready, error: ErrorFrame) -> None:
-        # the longest error frame: superposed flags of 12 bits, delimiter 8, intermission 3
-        self._free_ns = start_ns + (bits - EOF_BITS + 12 + 8 + 3) * self.bit_ns
+        # instead of the end of a frame, 7 bits, the longest error frame: superposed flags of 12 bits, delimiter 8, intermission 3
+        self._free_ns = start_ns + (bits - 7 + 12 + 8 + 3) * self.bit_ns
         self.statistics.frames += 1
         self.statistics.error_frames += 1
         self.statistics.busy_ns += self._free_ns - start_ns

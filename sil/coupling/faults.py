@@ -24,7 +24,6 @@ else:
     MessageName = Literal[tuple(s.name for s in contract().values() if not s.can_id & EDP_BIT)]
 NodeName = Literal["driver", "controller", "plant"]
 FirmwareName = Literal["driver", "controller"]
-INTRUDER = "intruder"  # name of the node that sends the frames of `Intrusion` faults
 
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
 DelayTime = Annotated[float, Meta(ge=0.0, le=10.0)]

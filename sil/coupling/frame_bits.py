@@ -12,9 +12,8 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-EOF_BITS = 7
 INTERMISSION_BITS = 3
-UNSTUFFED_BITS = 3 + EOF_BITS
+UNSTUFFED_BITS = 3 + 7  # delimiters and acknowledgement; end of frame
 
 
 def _stuff_bits(state: int, word: int, bits: int) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from can_dbc.errors import RunError
 from sil.coupling.clock import NEVER_NS, to_seconds
 from sil.coupling.real_time import Lateness, Pacer
-from sil.coupling.transports.channel import NOBODY, Channel, InProcess, ParticipantLost, Turn
+from sil.coupling.transports.channel import Channel, InProcess, ParticipantLost, Turn
 from sil.coupling.transports.wire import can_be_offered
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class Lockstep:
         for delivery in deliveries:
             if self._pacer is not None:
                 self._pacer.wait(delivery.arrival_ns, self._idle)
-            bus_off = self._outages.bus_off(delivery.arrival_ns) if self._outages else NOBODY
+            bus_off = self._outages.bus_off(delivery.arrival_ns) if self._outages else frozenset()
             for channel in self._channels:
                 channel.deliver((delivery,), bus_off)
 

@@ -327,15 +327,13 @@ def _of_one_bus(log: LogReader) -> Iterator[LogFrame]:
         yield entry
 
 
-DUTIES: Final[tuple[Meaning, ...]] = ("duty_b", "duty_n", "duty_f")
-
-
 def _translated(mapping: SignalMapping, log: Iterable[LogFrame]) -> Iterator[Arrival]:
     """Yield the frames of our contract that mapped ones stand for; end-to-end protection is ours.
 
     Raises InputError if duties or pulses are not mapped.
     """
-    for meaning in (*DUTIES, "pulse_s"):
+    duties: tuple[Meaning, ...] = ("duty_b", "duty_n", "duty_f")
+    for meaning in (*duties, "pulse_s"):
         if not mapping.messages_of(meaning):
             raise InputError(
                 f"{mapping.path}: no signal for {meaning}; expected duty_b, duty_n, duty_f, "
@@ -357,8 +355,8 @@ def _translated(mapping: SignalMapping, log: Iterable[LogFrame]) -> Iterator[Arr
         carried = {mapping.rows[k].meaning: value for k, value in values.items()}
         known.update(carried)
         at = entry.time_ns
-        if carried.keys() & set(DUTIES):
-            b, n, f = (min(max(known.get(name, 0.0), 0.0), 1.0) for name in DUTIES)
+        if carried.keys() & set(duties):
+            b, n, f = (min(max(known.get(name, 0.0), 0.0), 1.0) for name in duties)
             yield Arrival(at, ValveCommand, command(ValveCommand(b, n, f, Gear.UNKNOWN)))
             yield Arrival(at, SafetyBlow, blow(NO_BLOW))
         if "pulse_s" in carried:

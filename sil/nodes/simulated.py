@@ -12,7 +12,7 @@ from can_dbc.e2e import Protector
 from can_dbc.frame import Frame, join_id
 from can_dbc.messages import Gear, ShiftRequest
 from sil.coupling.clock import NS_PER_S, next_tick, to_ns
-from sil.coupling.faults import INTRUDER, Babbling, Intrusion, Replayed, Sent, Spoofed, window_of
+from sil.coupling.faults import Babbling, Intrusion, Replayed, Sent, Spoofed, window_of
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.coupling.transports.channel import Participant, Received, Turn
 
@@ -127,7 +127,7 @@ class TrafficNode(Node):
 class IntruderNode(Node):
     """Sends the frames of a scenario's intrusion faults; wakes up every millisecond."""
 
-    name = INTRUDER
+    name = "intruder"
 
     def __init__(self, faults: Sequence[Intrusion], bitrate: int, seed: int) -> None:
         draws = [random.Random(f"{seed}:intruder:{index}") for index in range(len(faults))]

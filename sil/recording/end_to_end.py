@@ -7,7 +7,6 @@ from typing import Any
 
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import ACCEPTED, PROTECTED, E2eStatus, Receiver
-from sil.coupling.faults import INTRUDER
 from sil.recording.run_record import RunRecord
 
 
@@ -24,7 +23,7 @@ class EndToEnd:
         for kind, receiver in self._receivers.items():
             for entry in record.frames_of(can_id_of(kind)):
                 status = receiver.receive(entry.arrival_ns, entry.frame)
-                if entry.sender == INTRUDER and status in ACCEPTED:
+                if entry.sender == "intruder" and status in ACCEPTED:
                     self._foreign[kind] += 1
 
     def counts(self) -> dict[str, dict[str, int]]:

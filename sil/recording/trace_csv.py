@@ -31,8 +31,6 @@ FROM_STATUS = {
 }
 """Columns from the controller's frames, each value held until the next frame."""
 
-INTEGERS = frozenset(("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults"))
-
 
 def held(times: Floats, values: Floats, at: Floats, before: float = math.nan) -> Floats:
     """Return a series, held between its values, at other instants: [n] for `at` [n] in s.
@@ -74,6 +72,7 @@ class TraceCsv:
     def add(self, record: RunRecord) -> None:
         """Append the rows of the next piece of the run."""
         columns = trace_columns(record, self._held)
+        whole = ("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults")
         for name, field in FROM_STATUS.items():
             _, values = record.series(ControllerStatus, field)
             if values:
@@ -82,7 +81,7 @@ class TraceCsv:
             self._file.write((",".join(columns) + "\n").encode())
         for begin in range(0, len(record.truth["time_s"]), 20_000):
             texts = [
-                _texts(column[begin : begin + 20_000].tolist(), name in INTEGERS)
+                _texts(column[begin : begin + 20_000].tolist(), name in whole)
                 for name, column in columns.items()
             ]
             lines = "".join(",".join(row) + "\n" for row in zip(*texts, strict=True))

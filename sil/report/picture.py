@@ -25,13 +25,6 @@ MOST_ZOOMS = 3
 """A picture shows this many parts of an axis side by side; a page has a button for each."""
 
 DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}
-SERIES_STYLES: dict[str, dict[str, Any]] = {
-    "line": {},
-    "stepped": {"drawstyle": "steps-post"},
-    "sampled": {"drawstyle": "steps-post", "marker": "."},
-    "dots": {"linestyle": "none", "marker": "o"},
-    "marked": {"marker": "o"},
-}
 LETTER = 0.6  # mean width of a letter over the size of its font
 
 View = tuple[float, float]
@@ -226,8 +219,15 @@ def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowe
 
 
 def _series(axes: Axes, panel: Panel) -> None:
+    styles: dict[str, dict[str, Any]] = {
+        "line": {},
+        "stepped": {"drawstyle": "steps-post"},
+        "sampled": {"drawstyle": "steps-post", "marker": "."},
+        "dots": {"linestyle": "none", "marker": "o"},
+        "marked": {"marker": "o"},
+    }
     for order, s in enumerate(panel.series):
-        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | SERIES_STYLES[s.style]
+        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | styles[s.style]
         axes.plot(
             s.x, s.y, color=colour_of(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
             label=s.label or "_", zorder=3 + 0.01 * order, **style,

@@ -30,8 +30,6 @@ from sil.simulation.safety import FaultSpan, detections
 
 SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
 STATES = "Firmware state"
-SENDER_ROLES = {"driver": "B", "controller": "estimate", "plant": "truth"}
-"""Colour of each sender's frames."""
 
 Interval = tuple[float, float]
 
@@ -383,15 +381,15 @@ def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[f
 def bus_panel(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     """One lane per message, lowest identifier (highest priority) on top: released to arrived."""
     lanes = sorted(record.messages.items(), key=lambda lane: -lane[1][0][0].frame.can_id)
-    spans = []
+    spans, roles = [], {"driver": "B", "controller": "estimate", "plant": "truth"}
     for lane, (_, entries) in enumerate(lanes):
-        role = SENDER_ROLES.get(entries[0][0].sender, "B")
+        role = roles.get(entries[0][0].sender, "B")
         for entry, _ in entries:
             start, end = entry.released_ns / NS_PER_S * MS, entry.arrival_ns / NS_PER_S * MS
             if any(zoom.low <= end and start <= zoom.high for zoom in zooms):
                 spans.append(Span(start, max(end, start + 0.1), role, "", lane - 0.32, lane + 0.32))
     ticks = [(float(lane), kind.__name__) for lane, (kind, _) in enumerate(lanes)]
-    keys, limits = list(SENDER_ROLES.items()), (-0.7, len(lanes) - 0.3)
+    keys, limits = list(roles.items()), (-0.7, len(lanes) - 0.3)
     title = "Frames on the bus, from release to arrival"
     return Panel(title, spans=spans, ticks=ticks, keys=keys, height=160, limits=limits)
 

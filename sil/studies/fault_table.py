@@ -108,19 +108,8 @@ def _faults(bits: float) -> str:
     return ", ".join(f.name or "" for f in Fault if f and f in Fault(int(bits)))
 
 
-OUTCOMES = (
-    ("shift done", "#009E73"),
-    ("stopped in a gear, fault reported", "#56B4E9"),
-    ("stopped in a gear, nothing reported", "#E69F00"),
-    ("between the gears, fault reported", "#8C6D31"),
-    ("between the gears, nothing reported", "#D55E00"),
-    ("in a gear, no report accepted at the end", "#CC79A7"),
-    ("unsafe: orphaned valve or false gear", "#000000"),
-)
-
-
 def _outcome(table: Table, i: int, sight_s: float) -> int:
-    """Return how row `i` ended, as an index of OUTCOMES; sight_s: of `longest_sight_s`."""
+    """Return how row `i` ended, by its place in the key of `outcomes_figure`; sight_s: of `longest_sight_s`."""
     number = table.numbers
     if number["orphan_energised_s"][i] > 0.0 or number["false_gear_s"][i] > sight_s:
         return 6
@@ -141,16 +130,25 @@ def outcomes_figure(study: Study, table: Table) -> Figure:
     half = len(faults) if len(faults) < 12 else -(-len(faults) // 2)
     sight = longest_sight_s(study)
     stacks: list[Stack] = []
+    outcomes = (
+        ("shift done", "#009E73"),
+        ("stopped in a gear, fault reported", "#56B4E9"),
+        ("stopped in a gear, nothing reported", "#E69F00"),
+        ("between the gears, fault reported", "#8C6D31"),
+        ("between the gears, nothing reported", "#D55E00"),
+        ("in a gear, no report accepted at the end", "#CC79A7"),
+        ("unsafe: orphaned valve or false gear", "#000000"),
+    )
     for begin in range(0, len(faults), half):
         part = faults[begin : begin + half]
         spans = []
         for i, label in enumerate(labels):
             if label in part:
                 x, y = shifts.index(table.texts[of_shift][i]), part.index(label)
-                colour = OUTCOMES[_outcome(table, i, sight)][1]
+                colour = outcomes[_outcome(table, i, sight)][1]
                 spans.append(Span(x - 0.46, x + 0.46, colour, "", y - 0.42, y + 0.42))
         ticks, limits, height = numbered(part), (half - 0.5, -0.5), max(120, 40 + 14 * half)
-        keys = () if stacks else OUTCOMES
+        keys = () if stacks else outcomes
         panel = Panel("Faults", spans=spans, ticks=ticks, limits=limits, keys=keys, height=height)
         stacks.append(Stack("shift", [panel], ticks=numbered(shifts), width=6.5))
     return Figure(stacks, title_of(study))

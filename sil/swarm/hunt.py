@@ -60,7 +60,6 @@ def transitions(record: RunRecord) -> dict[str, int]:
     return Counter(f"{a.name} -> {b.name}" for a, b in pairwise(states) if a is not b)
 
 
-GENERATION = 256
 SWARM_FILE = "swarm.jsonl"
 Runner = Callable[[Callable[[Table], Attempt], Sequence[Table]], Iterator[Attempt]]
 
@@ -105,7 +104,7 @@ class Hunt:
     """A swarm around a base scenario."""
 
     def __init__(
-        self, base: Mapping[str, Any], seed: int, rules: Sequence[Rule], *, size: int = GENERATION
+        self, base: Mapping[str, Any], seed: int, rules: Sequence[Rule], *, size: int = 256
     ) -> None:
         self._base = dict(base)
         self._seed = seed

@@ -14,7 +14,6 @@ from sil.rules import Violation
 from sil.simulation.scenario import FAULT_TABLES
 from sil.swarm.draw import Table
 
-ROW_LISTS = (*FAULT_TABLES, "request")
 Judge = Callable[[Mapping[str, Any]], Violation | None]
 
 
@@ -38,12 +37,13 @@ def shrink(table: Mapping[str, Any], broken: Judge, runs: int = 400) -> Table:
 
 def _simpler(table: Table, broken: Judge) -> Iterator[Table]:
     """Yield simpler tables, those first that take most away."""
+    lists = (*FAULT_TABLES, "request")
     if violation := broken(table):
         end_s = round(violation.time_s + 0.06, 1)
         last_s = max((request["at_s"] for request in table["request"]), default=0.0)
         if max(violation.time_s, last_s) < end_s < table["duration_s"]:
             yield {**table, "duration_s": end_s}
-    for name in ROW_LISTS:
+    for name in lists:
         for index in range(len(table.get(name, ()))):
             yield _with(table, name, [*table[name][:index], *table[name][index + 1 :]])
     for name in ("controller", "driveline", "plant", "clock", "bus"):
@@ -56,7 +56,7 @@ def _simpler(table: Table, broken: Judge) -> Iterator[Table]:
                     rest = {k: v for k, v in part.items() if k != inner}
                     yield _with(table, name, {**table[name], key: rest})
     yield {**table, "seed": 1}
-    for name in ROW_LISTS:
+    for name in lists:
         for index, row in enumerate(table.get(name, ())):
             for simpler in _simpler_rows(row):
                 yield _with(table, name, [*table[name][:index], simpler, *table[name][index + 1 :]])

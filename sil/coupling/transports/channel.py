@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from sil.coupling.bus import BusFrame
 
 
-NOBODY: frozenset[str] = frozenset()
-
-
 def silent(message: str) -> None:
     """Discard a message for the user."""
 
@@ -90,7 +87,9 @@ class Channel(ABC):
         """Return each participant's first event, ns. Raises ParticipantLost when one is not in time."""
 
     @abstractmethod
-    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(
+        self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = frozenset()
+    ) -> None:
         """Pass on frames, in order of arrival, to all but their senders and those in `bus_off`."""
 
     @abstractmethod
@@ -135,7 +134,9 @@ class InProcess(Channel):
         """Start the participants."""
         return {name: participant.start() for name, participant in self._participants.items()}
 
-    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(
+        self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = frozenset()
+    ) -> None:
         """Queue frames for the participants."""
         inboxes, receivers = self._inboxes, self._receivers
         for _released_ns, arrival_ns, sender, frame in deliveries:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from can_dbc.frame import EDP_BIT
 from sil.coupling.transports import address, wire
-from sil.coupling.transports.channel import NOBODY, ParticipantLost, Turn
+from sil.coupling.transports.channel import ParticipantLost, Turn
 from sil.coupling.transports.remote import Peer, RemoteChannel
 from sil.coupling.transports.server import Connection
 from sil.coupling.transports.wire import Kind, Refusal
@@ -32,7 +32,9 @@ class Hub(RemoteChannel):
         self.where = f"--channel local:{channel}"
         self._deadline = 0.0
 
-    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(
+        self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = frozenset()
+    ) -> None:
         """Send frames to monitors, and queue them for the participants."""
         delivered: list[bytes] = []
         receiving = [p for p in self._peers.values() if not p.retired and p.name not in bus_off]

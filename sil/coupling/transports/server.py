@@ -15,7 +15,6 @@ from can_dbc.messages import StopReason
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.wire import Kind
 
-MOST_CONNECTIONS = 250
 BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
 
 MONITOR_BACKLOG_BYTES = 8 << 20
@@ -98,8 +97,8 @@ class Server:
                 accepted, _ = self._listener.accept()
             except BlockingIOError:
                 return
-            if len(self._connections) >= MOST_CONNECTIONS:
-                self.warn(f"more than {MOST_CONNECTIONS} connections: further ones were closed")
+            if len(self._connections) >= 250:
+                self.warn("more than 250 connections: further ones were closed")
                 accepted.close()
                 continue
             connection = Connection(accepted)

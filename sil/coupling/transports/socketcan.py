@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import EDP_BIT, MAX_ID, PAGE_BITS, SOCKETCAN_EXTENDED, SOCKETCAN_FRAME
 from sil.coupling.transports import wire
-from sil.coupling.transports.channel import NOBODY, ParticipantLost, Turn
+from sil.coupling.transports.channel import ParticipantLost, Turn
 from sil.coupling.transports.remote import Peer, RemoteChannel
 from sil.coupling.transports.server import Connection
 from sil.coupling.transports.wire import Kind
@@ -25,7 +25,6 @@ _SO_RXQ_OVFL = 40
 _RECEIVE_BUFFER_BYTES = 8 << 20
 _REMOTE_FRAME = 0x4000_0000
 _FULL_QUEUE_WAIT_S = 2.0
-EXPECTED = "expected inproc, local, local:NAME, or the name of a CAN interface"
 
 PARTICIPANT_VIEW = (
     (SOCKETCAN_EXTENDED, SOCKETCAN_EXTENDED | _REMOTE_FRAME | EDP_BIT),
@@ -39,11 +38,12 @@ class CanSocket:
 
     def __init__(self, interface: str, filters: Sequence[tuple[int, int]]) -> None:
         self.interface = interface
+        expected = "expected inproc, local, local:NAME, or the name of a CAN interface"
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:
             what = f"this kernel has no SocketCAN ({error.strerror})"
-            raise InputError(f"channel {interface!r}: {what}; {EXPECTED}") from None
+            raise InputError(f"channel {interface!r}: {what}; {expected}") from None
         try:
             packed = b"".join(struct.pack("=II", *entry) for entry in filters)
             self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
@@ -56,7 +56,7 @@ class CanSocket:
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
-            what = f"{error.strerror}; {EXPECTED} that is up"
+            what = f"{error.strerror}; {expected} that is up"
             raise InputError(f"channel {interface!r}: {what}") from None
 
     def fileno(self) -> int:
@@ -133,7 +133,9 @@ class SocketCan(RemoteChannel):
         self._speaker: Peer | None = None
         self._attend(self._can.fileno(), self._read)
 
-    def deliver(self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = NOBODY) -> None:
+    def deliver(
+        self, deliveries: Sequence[BusFrame], bus_off: frozenset[str] = frozenset()
+    ) -> None:
         """Send frames, each after its BusTime."""
         for delivery in deliveries:
             for name in bus_off & self._by_name.keys():

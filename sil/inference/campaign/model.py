@@ -37,10 +37,6 @@ DIFFERENCE = 0.05
 Moved = Callable[[str, float], Setup]
 
 
-FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0.05}
-"""Spread of the rms between clean campaigns, in addition to the one that counting gives."""
-
-
 class CampaignModel(Problem):
     """The strokes of a campaign and the healthy spread: what any hypothesis is compared with.
 
@@ -152,15 +148,17 @@ class CampaignModel(Problem):
         floors are lower: by the weights of the samples, and by what clean simulated campaigns show.
         """
         stroke = self.strokes[k]
+        # between clean campaigns, in addition to the spread that counting gives
+        spreads = {"position": 0.03, "pressure": 0.004, "oil": 0.008}
         for channel, part in channel_parts(stroke, residual):
-            spread = float(np.hypot(FLOOR_SPREAD[channel.kind], channel.noise.uncertainty))
+            spread = float(np.hypot(spreads[channel.kind], channel.noise.uncertainty))
             yield ChannelPart(channel.name, part, channel.floor, spread)
         if stroke.internal is not None:
             # rms of residuals: 0.17 with the usual recorder, 0.7 of what a slow one adds
             usual = (INTERNAL_SD_M / stroke.internal.sd_m) ** 2
             slow = float(np.sum(1.0 - usual)) * 0.7**2
             floor = float(np.sum(usual)) * 0.17**2 + slow
-            spread = FLOOR_SPREAD["internal"] + 0.5 * slow / floor
+            spread = 0.05 + 0.5 * slow / floor
             yield ChannelPart("position_internal_m", residual[stroke.size :], floor, spread)
 
     def changed(

@@ -42,8 +42,6 @@ from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import Judged, Verdict
 from sil.inference.workers import spread_out
 
-FEWEST = 2
-"""Strokes that are proposed at least: one to fit, and one to judge the fit by."""
 MOST = 12
 """Strokes that are proposed at most."""
 
@@ -418,13 +416,13 @@ def _chosen(
     while len(picked) < MOST:
         best = max(choices, key=lambda k: value(added(sums, choices[k])))
         if value(added(sums, choices[best])) - value(sums) < 0.01 * most:
-            if not picked or len(picked) >= FEWEST:
+            if len(picked) != 1:  # one to fit, and one to judge the fit by
                 break
             best = picked[0]
         picked.append(best)
         sums = added(sums, choices[best])
         enough = all(d >= questions[0].enough for d in distances_of(sums).values())
-        if enough and len(picked) >= FEWEST:
+        if enough and len(picked) >= 2:
             break
     picked = sorted(picked, key=picked.index)
     alone = {k: distances_of(added(nothing, choices[k])) for k in picked}

@@ -16,8 +16,6 @@ from sil.campaign.campaign import Floats, Record
 from sil.inference.campaign.observations import Noise, StrokeObservation, kind_of
 
 ORDER = 3
-AGREES = {"position": 0.45, "pressure": 0.03, "oil": 0.05}
-"""An estimate this near to what is known already, standard errors aside, does not replace it."""
 
 
 def noise_of(values: Floats, time_s: Floats | None = None) -> float:
@@ -85,9 +83,11 @@ def estimated_noise(
         kind = kind_of(name)
         alike = [values for other, values in pooled.items() if kind_of(other) == kind]
         channel_noise = _noise(pooled[name], steps[name])
+        # an estimate this near to what is known already, standard errors aside, does not replace it
+        alike_within = {"position": 0.45, "pressure": 0.03, "oil": 0.05}[kind]
         usual, mean = nominal[kind], _noise(np.concatenate(alike), steps[name])
-        best = usual if _agree(mean, usual, AGREES[kind]) else mean
-        best = best if _agree(channel_noise, best, AGREES[kind]) else channel_noise
+        best = usual if _agree(mean, usual, alike_within) else mean
+        best = best if _agree(channel_noise, best, alike_within) else channel_noise
         if best is not usual:
             noise[name] = best
     return noise

@@ -17,7 +17,6 @@ import numpy as np
 
 from sil.inference.force.delay import without_delay
 from sil.inference.force.fit import (
-    BODY,
     POSITIVE,
     VISCOUS,
     Bank,
@@ -90,8 +89,9 @@ class ForceDiagnosis:
     def body(self) -> dict[str, Interval]:
         """Return the body's parameters, without a mass that the motion does not determine."""
         parameters = {}
+        units = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}
         for name in self.leader.body:
-            item = Interval.normal(*self.leader.value(name), self._unit(BODY[name]))
+            item = Interval.normal(*self.leader.value(name), self._unit(units[name]))
             if name != "mass_kg" or not self._loose_mass():
                 low = max(0.0, item.low) if name in POSITIVE else item.low
                 parameters[name] = replace(item, low=low)

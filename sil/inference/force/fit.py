@@ -23,7 +23,6 @@ from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Explanation, Verdict, decide
 
 VISCOUS = "viscous_n_s_m"
-BODY = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}
 POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
 
 

@@ -32,9 +32,6 @@ Polynomial = tuple[float, ...]
 """Ascending coefficients."""
 
 
-SETTLE_S = 0.0015
-
-
 @dataclass(frozen=True)
 class RestRecord:
     """One chamber at rest while its valve does not move: instants, pressure, volume, direction."""
@@ -55,7 +52,7 @@ class RestRecord:
 
 def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
     """Return all stretches of the campaign in which a chamber's volume and valve do not move."""
-    stretches = []
+    stretches, settle_s = [], 0.0015
     for entry in campaign.strokes:
         record, conditions = campaign.record(entry), entry.conditions
         if "position_m" not in record:
@@ -65,7 +62,7 @@ def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestReco
         position = record["position_m"]
         tail = float(np.median(position[-max(3, len(position) // 50) :]))
         away = np.flatnonzero(np.abs(position - tail) > 1.5e-4)
-        begin = time_s[away[-1]] + SETTLE_S if len(away) else time_s[0]
+        begin = time_s[away[-1]] + settle_s if len(away) else time_s[0]
         moves = valve_moves(setup, int(time_s[-1] * 1e9))
         for index, chamber in enumerate(conditions.chambers):
             column = f"pressure_{chamber}_pa"
@@ -76,7 +73,7 @@ def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestReco
             edges = [0.0, *(t for t, _u in switches), float(time_s[-1])]
             states = [chamber in conditions.charged_before, *(u for _t, u in switches)]
             for (start, end), charging in zip(itertools.pairwise(edges), states, strict=True):
-                inside = (time_s >= max(start + SETTLE_S, begin)) & (time_s <= end - 1e-4)
+                inside = (time_s >= max(start + settle_s, begin)) & (time_s <= end - 1e-4)
                 if charging and conditions.kind != "fixed":
                     # a pressed piston reaches its collar within 15 ms
                     inside &= time_s > _loose_until(record, time_s, chamber, inside) + 0.015

@@ -38,12 +38,11 @@ class Method:
     """
 
     indices: Mapping[str, int]
-    columns: tuple[str, ...]
+    columns: tuple[str, ...] = ("position_m", "pressure_1_pa", "pressure_2_pa")
     is_damper: bool = False
     expressed: tuple[str, ...] = ()
 
 
-PRESSURES = ("position_m", "pressure_1_pa", "pressure_2_pa")
 METHODS = {
     "friction": Method(
         {
@@ -51,7 +50,6 @@ METHODS = {
             "friction_fixed.F_rf": Parameters.f_run_s,
             "friction_fixed.beta": Parameters.beta_s,
         },
-        PRESSURES,
         expressed=("friction",),
     ),
     "alpha": Method(
@@ -59,7 +57,6 @@ METHODS = {
             f"alpha.{name}": getattr(Parameters, name)
             for name in ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
         },
-        PRESSURES,
     ),
     "damper": Method(
         {

@@ -30,7 +30,6 @@ MOST_SHIFTS: Final = 120
 """Shifts that are judged; of more, as many spread evenly over the logs."""
 SEARCHED_SHIFTS: Final = 12
 """Shifts that hypotheses are searched with; the best of them are fitted to all."""
-FEWEST_SHIFTS: Final = 3
 LEAST_NOISE_M: Final = 1.4e-5
 """Standard deviation of a position by the timer's resolution alone."""
 
@@ -102,8 +101,8 @@ def judge(
     """Judge the shifts of one truck against the plant of a parameter set; broken: what is wrong in its logs."""
     used = spread(shifts, MOST_SHIFTS)
     failed = sum(shift.failed for shift in used)
-    if len(used) < FEWEST_SHIFTS and not failed:
-        text = f"{counted(len(used), 'usable shift')}; at least {FEWEST_SHIFTS} are needed to judge"
+    if len(used) < 3 and not failed:
+        text = f"{counted(len(used), 'usable shift')}; at least 3 are needed to judge"
         return TruckDiagnosis("cannot_tell", tuple(used), (text, *broken))
     noise_m, causes = noise_of(used, parameters), offered(used)
     stages = Stages(show)

@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/inference/truck/test_page.py
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -30,18 +30,6 @@ from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
-
-MEASURE: Final = {
-    "valve timing": "the chambers' pressures at 1 kHz or more: when each begins to rise and to fall after its command",
-    "internal sensor": "the position by an external sensor on the same clock",
-    "friction": "the chambers' pressures together with an external position: the force balance of the stay",
-    "mechanics": "the stay moved by hand or by a known force, unpressurised",
-    "leak": "a chamber's pressure with its valve held open, then closed, the stay at rest",
-    "supply": "the pressure at the valve's inlet during a shift",
-    "flow restriction": "a chamber's pressure while it fills and empties at a known volume",
-    "volume": "a chamber's pressure while it fills and empties with the stay held",
-    "thermodynamics": "a chamber's pressure along a measured position",
-}
 
 
 def reported(diagnosis: TruckDiagnosis) -> list[ReportedCause]:
@@ -97,11 +85,22 @@ def groups_of(diagnosis: TruckDiagnosis) -> list[dict[str, Any]]:
     """Return each group of causes that the bus cannot separate, with what would separate it."""
     groups: dict[frozenset[str], dict[str, Any]] = {}
     classes = {item.cause.id: item.cause.effect.cause_class for item in diagnosis.detectable}
+    measures = {
+        "valve timing": "the chambers' pressures at 1 kHz or more: when each begins to rise and to fall after its command",
+        "internal sensor": "the position by an external sensor on the same clock",
+        "friction": "the chambers' pressures together with an external position: the force balance of the stay",
+        "mechanics": "the stay moved by hand or by a known force, unpressurised",
+        "leak": "a chamber's pressure with its valve held open, then closed, the stay at rest",
+        "supply": "the pressure at the valve's inlet during a shift",
+        "flow restriction": "a chamber's pressure while it fills and empties at a known volume",
+        "volume": "a chamber's pressure while it fills and empties with the stay held",
+        "thermodynamics": "a chamber's pressure along a measured position",
+    }
     for item in diagnosis.detectable:
         ids = frozenset((item.cause.id, *item.alike))
         if len(ids) > 1 and ids not in groups:
             kinds = sorted({classes[name] for name in ids})
-            measure = [MEASURE[kind] for kind in kinds if kind in MEASURE]
+            measure = [measures[kind] for kind in kinds if kind in measures]
             groups[ids] = {"causes": sorted(ids), "of": item.cause.name, "measure": measure}
     return list(groups.values())
 

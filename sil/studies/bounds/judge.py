@@ -20,8 +20,6 @@ from sil.studies.policies import GEARBOX, Floats, Ints, LoadModel
 
 LATER_S = 0.03
 """By how much an arrival may be later than that of the plain push under the same load."""
-PLAIN = np.full((1, STEM_SIZE), -100.0)
-"""The plain push as a policy: no pulse is longer than nothing."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,6 @@ class Scatter:
     factors: dict[str, float] = field(default_factory=dict)
 
 
-NOMINAL = (Scatter(),)
 SHIFTED = tuple(Scatter(shift_s) for shift_s in (-0.0003, 0.0, 0.0003))
 
 
@@ -102,7 +99,9 @@ class Judge:
         self._rise_s = timing.rise_s + np.array([each.rise_s for each in scatter])
         self._fall_s = timing.fall_s + np.array([each.fall_s for each in scatter])
         self._plain_s, self._end_s = np.full(self.shape, 0.5), 0.5
-        self.plain = self.judge(PLAIN, (), 1.0)
+        self.plain = self.judge(
+            np.full((1, STEM_SIZE), -100.0), (), 1.0
+        )  # no pulse is longer than nothing
         self._plain_s = self._plain_s + self.plain.late_s[0]
         self._end_s = float(self._plain_s.max()) + LATER_S
 

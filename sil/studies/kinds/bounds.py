@@ -23,7 +23,7 @@ from sil.campaign.campaign import Campaign, CampaignStroke, campaign_toml
 from sil.files.atomic import write_atomically
 from sil.files.overrides import toml_value
 from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
-from sil.studies.bounds.judge import LATER_S, NOMINAL, SHIFTED, drawn
+from sil.studies.bounds.judge import LATER_S, SHIFTED, Scatter, drawn
 from sil.studies.bounds.policy import ANSWER, STEM_SIZE, SwitchingDelays, commands_of, edges_of
 from sil.studies.bounds.search import BoundProblem, SearchProgress, softest_alone
 from sil.studies.policies import GEARBOX
@@ -187,7 +187,7 @@ def judged(problem: BoundProblem, policy: SearchProgress) -> dict[str, float]:
     """Return the hardest stops of a policy in each judgement, those of the plain push, and late draws' share."""
     judges = {
         "worst_m_s": problem.judge,
-        "exact_m_s": problem.judge_of(NOMINAL),
+        "exact_m_s": problem.judge_of((Scatter(),)),
         "fine_m_s": problem.judge_of(SHIFTED, 0.25),
     }
     stops_m_s = {name: problem.judged(policy, judge).worst_m_s for name, judge in judges.items()}
@@ -196,7 +196,7 @@ def judged(problem: BoundProblem, policy: SearchProgress) -> dict[str, float]:
     figures["drawn_m_s"] = float(draws.impact_m_s.max())
     figures["drawn_late_share"] = float((draws.late_s > LATER_S).mean())
     figures["open_m_s"] = float(problem.judge.plain.impact_m_s.max())
-    damper = problem.judge_of(NOMINAL, load="damper")
+    damper = problem.judge_of((Scatter(),), load="damper")
     figures["damper_m_s"] = float(damper.plain.impact_m_s.max())
     return figures
 

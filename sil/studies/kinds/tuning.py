@@ -34,7 +34,6 @@ from sil.studies.figures import numbered, row_labels, title_of
 from sil.studies.kinds.budget import filter_delay_s
 from sil.studies.study import Choice, RowResult, ScenarioStudy, Study, StudyRow, Table
 
-FAILED_M_S = 10.0
 BUS_S = 0.0004  # approximate time that a report spends on the bus
 
 Load = Callable[[Settings], Loaded]  # returns the base scenario with settings
@@ -203,9 +202,9 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
 def cost_m_s(arrival: LoadShift, reference: LoadShift, free_s: float, late_m_s2: float) -> float:
     """Return the cost of one load."""
     if not math.isfinite(arrival.time_s):
-        return FAILED_M_S
+        return 10.0
     lost_s = max(0.0, arrival.time_s - reference.time_s - free_s)
-    return min(FAILED_M_S, arrival.speed_m_s + late_m_s2 * lost_s)
+    return min(10.0, arrival.speed_m_s + late_m_s2 * lost_s)
 
 
 def spread_values(strategy: str, count: int, seed: int) -> list[dict[str, float]]:

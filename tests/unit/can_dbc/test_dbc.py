@@ -333,11 +333,9 @@ def test_limits_are_still_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert value.multiplexer_ids == list(range(4096))
     path = tmp_path / "good.dbc"
     path.write_text(GOOD)
-    monkeypatch.setattr(dbc, "LARGEST_FILE", len(GOOD))
-    assert load_dbc(path).messages
-    monkeypatch.setattr(dbc, "LARGEST_FILE", len(GOOD) - 1)
+    assert load_dbc(path, most_bytes=len(GOOD)).messages
     with pytest.raises(InputError, match=r"good\.dbc: larger than \d+ bytes; expected a DBC file"):
-        load_dbc(path)
+        load_dbc(path, most_bytes=len(GOOD) - 1)
 
 
 def test_files_are_read_strictly_unless_told_otherwise(tmp_path: Path) -> None:

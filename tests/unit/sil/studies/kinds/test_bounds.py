@@ -16,7 +16,7 @@ from plant.parameters import load
 from plant.systems.stroke import simulate
 from sil.campaign.campaign import load_campaign
 from sil.cli import main
-from sil.studies.bounds.judge import LATER_S, NOMINAL, PLAIN, Judge, drawn
+from sil.studies.bounds.judge import LATER_S, Judge, Scatter, drawn
 from sil.studies.bounds.policy import (
     ANSWER,
     NO_PULSE,
@@ -109,14 +109,14 @@ def test_slower_valves_are_imitated_stop_for_stop() -> None:
     """Quicker valves that move as slower ones, sooner, stop under each load as those do."""
     stop_m_s = []
     for opening_s, closing_s, begin_s in ((0.008, 0.035, 0.12), (0.002, 0.002, 0.12)):
-        values = PLAIN.copy()
+        values = np.full((1, STEM_SIZE), -100.0)
         values[0, [6, 10]] = begin_s / UNIT_S, (0.04 - closing_s) / UNIT_S
         judge = Judge(
             load("nominal"),
             SwitchingDelays(opening_s, closing_s),
             np.linspace(18.0, 250.0, 9),
             (1300.0,),
-            NOMINAL,
+            (Scatter(),),
         )
         stop_m_s.append(judge.judge(values, (), 1.0).impact_m_s)
     np.testing.assert_allclose(*stop_m_s, atol=1e-4)
@@ -191,11 +191,13 @@ PAUSE[0, [0, 3]] = 10.5, 0.5
 @pytest.fixture(scope="module")
 def judge() -> Judge:
     impulses_n_s = np.linspace(18.0, 250.0, 30)
-    return Judge(PARAMETERS, SwitchingDelays(0.008, 0.035), impulses_n_s, (500.0, 1300.0), NOMINAL)
+    return Judge(
+        PARAMETERS, SwitchingDelays(0.008, 0.035), impulses_n_s, (500.0, 1300.0), (Scatter(),)
+    )
 
 
 def test_the_plain_push_is_in_time_and_harder_under_less_mesh_force(judge: Judge) -> None:
-    plain = judge.judge(PLAIN, (), 1.0)
+    plain = judge.judge(np.full((1, STEM_SIZE), -100.0), (), 1.0)
     np.testing.assert_allclose(plain.late_s, 0.0, atol=1e-6)
     light, heavy = plain.impact_m_s[0, 0].max(axis=-1)
     assert light > heavy == pytest.approx(1.365, abs=1e-3)
@@ -209,7 +211,12 @@ def test_some_loads_are_judged_as_among_all(judge: Judge) -> None:
 
 def test_the_damper_is_softer_than_the_plain_push() -> None:
     judge = Judge(
-        PARAMETERS, SwitchingDelays(0.002, 0.002), np.array([250.0]), (1300.0,), NOMINAL, "damper"
+        PARAMETERS,
+        SwitchingDelays(0.002, 0.002),
+        np.array([250.0]),
+        (1300.0,),
+        (Scatter(),),
+        "damper",
     )
     assert judge.plain.impact_m_s.max() == pytest.approx(0.602, abs=1e-3)
 
