@@ -14,7 +14,7 @@ from msgspec import Meta
 from can_dbc.codec import can_id_of, decode, encode
 from can_dbc.e2e import Protector
 from can_dbc.errors import CodecError
-from can_dbc.frame import Frame
+from can_dbc.frame import NS_PER_S, Frame
 from can_dbc.messages import (
     DrivelineSpeeds,
     Gear,
@@ -37,7 +37,7 @@ from plant.devices.driveline import (
 from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
 from plant.devices.signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
-from plant.devices.valve import NS_PER_S, CoilConfig, ValveTiming, seconds_to_ns
+from plant.devices.valve import CoilConfig, ValveTiming, seconds_to_ns
 from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
 from plant.devices.valve_faults import Switch, ValveFault, ValveGroup
 from plant.errors import InputError

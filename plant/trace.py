@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.devices.valve import NS_PER_S, Drive
+from can_dbc.frame import NS_PER_S
+from plant.devices.valve import Drive
 from plant.parts.damper import steady_oil_pressure
 from plant.systems.length_stroke import LengthStroke
 

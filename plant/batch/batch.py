@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.frame import NS_PER_S
 from plant.batch.lane_control import Result
 from plant.batch.lane_steps import WIDTH
 from plant.batch.lanes import MOVING_STATES, Batch, Room, find_covered, room_for_results, run_lanes
 from plant.batch.singles import run_singles
-from plant.devices.valve import NS_PER_S
 from plant.effects.setup import Setup
 from plant.integrator.filling import NO_CURVES, filling_curves
 from plant.kernel.layout import FlowMap, Modes, Parameters

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.frame import NS_PER_S
 from plant.batch.batch import BATCH_TOLERANCE, Drive, Strokes, drive_of, fill_still
 from plant.batch.lane_control import Result
 from plant.batch.lanes import Batch, Room, room_for_results, run_lanes
 from plant.batch.singles import EVENT_ROOM, run_singles
-from plant.devices.valve import NS_PER_S
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError

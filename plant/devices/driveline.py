@@ -9,8 +9,9 @@ import msgspec
 from msgspec import Meta
 from numpy.random import Generator
 
+from can_dbc.frame import NS_PER_S
 from plant.devices.sensors import named_generator
-from plant.devices.valve import NS_PER_S, seconds_to_ns
+from plant.devices.valve import seconds_to_ns
 from plant.errors import InputError
 
 BACKWARD, NO_GEAR, FORWARD = 1, 0, -1  # direction of a gear, as the sign of the stay's position

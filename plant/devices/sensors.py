@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plant.devices.valve import NS_PER_S, seconds_to_ns
+from can_dbc.frame import NS_PER_S
+from plant.devices.valve import seconds_to_ns
 from plant.errors import InputError
 from plant.parameters import ParameterSet
 

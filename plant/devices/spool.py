@@ -11,7 +11,8 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.devices.valve import NS_PER_S, ValveTiming
+from can_dbc.frame import NS_PER_S
+from plant.devices.valve import ValveTiming
 
 Move = tuple[int, float, float]
 """Instant [ns], opening, slope [1/s]."""

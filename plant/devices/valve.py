@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from can_dbc.frame import NS_PER_S
 from plant.errors import InputError
 from plant.parameters import ParameterSet
 from plant.parameters.bounds import outside
 
-NS_PER_S = 1_000_000_000
 NEVER_NS = 1 << 63
 
 Drive = Literal["delays", "coil"]

@@ -16,9 +16,6 @@ from plant.errors import InputError
 
 Command = tuple[int, float]  # instant in ns, duty 0..1
 
-SLOT_NS = 10_000_000
-"""Period of the draws of garbage and intermittent faults."""
-
 
 class ValveFault(FaultWindow, frozen=True, kw_only=True):
     """A failure of one valve from start_s on and before end_s (left out: for good).
@@ -136,6 +133,8 @@ class FaultyValve:
 class _Window:
     """One fault with its times and its draws."""
 
+    slot_ns = 10_000_000  # period of the draws of garbage and intermittent faults
+
     def __init__(self, fault: ValveFault, seed: int, index: int) -> None:
         self.fault = fault
         self.start_ns = seconds_to_ns(fault.start_s)
@@ -159,12 +158,12 @@ class _Window:
             return NEVER_NS
         if not self._draws:
             return self.end_ns
-        slots = (after_ns - self.start_ns) // SLOT_NS + 1
-        return min(self.end_ns, self.start_ns + slots * SLOT_NS)
+        slots = (after_ns - self.start_ns) // self.slot_ns + 1
+        return min(self.end_ns, self.start_ns + slots * self.slot_ns)
 
     def drawn(self, now_ns: int) -> float:
         """Return the number of the present slot, uniform in 0..1."""
-        slot = (now_ns - self.start_ns) // SLOT_NS
+        slot = (now_ns - self.start_ns) // self.slot_ns
         while self._slot < slot:
             self._slot += 1
             self._value = float(self._generator.random())

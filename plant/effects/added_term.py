@@ -41,12 +41,10 @@ ARGUMENTS: dict[Slot, dict[str, int]] = {
 """What the term of a slot may depend on, and where the equations pass it (`call_at`)."""
 
 
-TIME_LIMIT_S = 20.0
-"""Of a term for its values all over the ranges; one that takes longer never ends."""
-
-
 class AddedTerm:
     """A function of what its slot offers (by argument name) and of values that an effect sets."""
+
+    time_limit_s = 20.0  # for its values all over the ranges; one that takes longer never ends
 
     def __init__(self, slot: Slot, function: Callable[..., float]) -> None:
         self.slot = slot
@@ -131,12 +129,12 @@ class AddedTerm:
         # not even Ctrl-C ends compiled code; a daemon ends with the process
         thread = threading.Thread(target=call_all, daemon=True)
         thread.start()
-        thread.join(TIME_LIMIT_S)
+        thread.join(self.time_limit_s)
         if thread.is_alive():
             call_now = self.called(trials[len(results)], values)
             trials.clear()  # so that a slow term is not called again
             raise InputError(
-                f"{call_now} does not return within {TIME_LIMIT_S:g} s; expected a number at once"
+                f"{call_now} does not return within {self.time_limit_s:g} s; expected a number at once"
             )
         return results
 

@@ -238,11 +238,6 @@ def settle(t, y, m, p):
         settle_damper(y, m, p)
 
 
-# Touching bodies that part slower than this, and would meet again, stay together: the end of a
-# Zeno sequence of contacts.
-SLOW_M_S = 1e-5
-
-
 @inlined
 def meets(contact, relative, slow):
     """Return True if touching bodies close, or part more slowly than `slow`; relative: rate at which they part [m/s]."""
@@ -282,9 +277,12 @@ def rebound(v, p):
 
 @inlined
 def slow_parting(y, k, relative, p):
-    """Speed below which piston k does not count as parting, by its acceleration relative to the stay."""
+    """Speed below which piston k does not count as parting, by its acceleration relative to the stay.
+
+    Touching bodies that part slower, and would meet again, stay together: the end of a Zeno sequence of contacts.
+    """
     contact = touching(y, k, p)
-    return SLOW_M_S if contact != FREE and contacts.sign_ahead(k, contact) * relative < 0.0 else 0.0
+    return 1e-5 if contact != FREE and contacts.sign_ahead(k, contact) * relative < 0.0 else 0.0
 
 
 @called

@@ -11,9 +11,6 @@ from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED, FREE, GUARDS, Guard, fixed_state, impact_of, length_state
 
-# An event is located when it is no farther than this.
-LOCATED_S = 1e-15
-
 
 @called
 def all_guards(t, y, o, g):
@@ -157,10 +154,10 @@ def locate(t, h, high, dense, y, o, n_all):
             if below[k] < 0.0:
                 start = max(above[k], 0.0)
                 theta = min(theta, root_fraction(low, high, third, start, below[k], older[k]))
-        if (high - theta) * h < LOCATED_S or width * h < LOCATED_S:
+        if (high - theta) * h < 1e-15 or width * h < 1e-15:
             break
         # just beyond the crossing, so that a good forecast is the last
-        theta = max(theta + 0.5 * LOCATED_S / h, low + width * min(1e-3, 4.0 * width))
+        theta = max(theta + 0.5 * 1e-15 / h, low + width * min(1e-3, 4.0 * width))
         if iteration % 3 == 2:
             if width > 0.1 * before:
                 theta = 0.5 * (low + high)

@@ -8,9 +8,6 @@ from plant.integrator.loop import AGAIN, NOT_FINITE, STEPPING, sample_rest
 from plant.kernel.compiled import called
 from plant.kernel.layout import FIXED, pressures
 
-# Margin below zero at which a breakaway is taken; in 1e-14 s it moves by far less than that.
-BREAKAWAY_MARGIN_N = 1e-6
-
 
 @called
 def pressures_after(dt, fixed, w, table, y):
@@ -95,18 +92,19 @@ def pass_rest(s, k, o, end, corner, task, n):
 def crossing(t, span, low_value, high_value, y1, o, table):
     """Time within `span` at which the lowest guard has just become negative; y1 is the state there.
 
-    Regula falsi (Illinois), to BREAKAWAY_MARGIN_N below zero within a thousandth, which derivatives need.
+    Regula falsi (Illinois), to 1e-6 N below zero within a thousandth, which derivatives need.
     """
     g = o.scratch.guards
     w = o.scratch.rest
     fixed = o.m.system == FIXED
+    margin = 1e-6  # N; in 1e-14 s a breakaway moves by far less than that
     low = 0.0
     high = span
-    low_value = max(low_value, 0.0) + BREAKAWAY_MARGIN_N
-    high_value += BREAKAWAY_MARGIN_N
+    low_value = max(low_value, 0.0) + margin
+    high_value += margin
     side = 0
     for iteration in range(100):
-        if high_value > -1e-3 * BREAKAWAY_MARGIN_N or high - low < 1e-14:
+        if high_value > -1e-3 * margin or high - low < 1e-14:
             break
         dt = low + (high - low) * low_value / (low_value - high_value)
         if iteration % 4 == 3:
@@ -114,7 +112,7 @@ def crossing(t, span, low_value, high_value, y1, o, table):
         if not low < dt < high:
             break
         pressures_after(dt, fixed, w, table, y1)
-        value = all_guards(t, y1, o, g) + BREAKAWAY_MARGIN_N
+        value = all_guards(t, y1, o, g) + margin
         if value < 0.0:
             high = dt
             high_value = value

@@ -14,9 +14,6 @@ from plant.kernel.views import unlikely
 from plant.parts.flow import charge, discharge, iso_6358, orifice
 from plant.parts.term import added, not_negative
 
-RHO_0 = 1.185
-"""Density of ISO 6358's reference air [kg/m^3]."""
-
 
 @inlined
 def valve_flow_in(pressure, supply, kelvin, p, c):
@@ -128,11 +125,12 @@ def temperature(pressure, volume, mass, p):
 def energy_source(leak, volume, mass, kelvin, p):
     """Return what leaks and walls do to the energy of a cylinder's chamber, over R [K kg/s].
 
-    kappa leak + (kappa - 1) h A (T_wall - T) / R, h by the power `wall_density` of the density; walls at the supply's
-    temperature, their area that of a cylinder of the bore and the chamber's volume.
+    kappa leak + (kappa - 1) h A (T_wall - T) / R, h by the power `wall_density` of the density over that of ISO 6358's
+    reference air, 1.185 kg/m^3; walls at the supply's temperature, their area that of a cylinder of the bore and the
+    chamber's volume.
     """
     area = 2.0 * p.area_p + 2.0 * volume * sqrt(pi / p.area_p)
-    transfer = p.wall_heat * (mass / (volume * RHO_0)) ** p.wall_density
+    transfer = p.wall_heat * (mass / (volume * 1.185)) ** p.wall_density
     heat_w = transfer * area * (p.t_gas - kelvin)
     return p.air_kappa * leak + (p.air_kappa - 1.0) * heat_w / p.r_air
 

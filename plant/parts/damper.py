@@ -10,9 +10,6 @@ from math import acos, sqrt
 from plant.kernel.compiled import inlined, kernel
 from plant.kernel.layout import INCOMPRESSIBLE, parameters
 
-# Below this pressure difference the orifice is laminar; the root's infinite slope ends there.
-LAMINAR_PA = 10.0
-
 
 @inlined
 def holes_area(c, r_hole):
@@ -66,8 +63,8 @@ def outflow(difference_pa, area, c_d, rho):
     """Flow out of chamber two q = C_D A sqrt(2 dP / rho) [m^3/s] (3.28); laminar next to zero."""
     if difference_pa <= 0.0:
         return 0.0
-    if difference_pa < LAMINAR_PA:
-        return c_d * area * sqrt(2.0 * LAMINAR_PA / rho) * difference_pa / LAMINAR_PA
+    if difference_pa < 10.0:  # laminar: the root's infinite slope ends there
+        return c_d * area * sqrt(2.0 * 10.0 / rho) * difference_pa / 10.0
     return c_d * area * sqrt(2.0 * difference_pa / rho)
 
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from can_dbc.frame import NS_PER_S
 from plant.devices.spool import spool_moves
-from plant.devices.valve import NS_PER_S, seconds_to_ns, switch_schedule
+from plant.devices.valve import seconds_to_ns, switch_schedule
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, KINDS, StrokeConditions
 from plant.equations.volumes import ends_of_travel, refuse_empty

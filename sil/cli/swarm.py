@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _base(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the table that every scenario is drawn around. Raises InputError."""
     from controller.config import FirmwareConfig
-    from sil.firmware.load import IN_C, absolute, firmware_node, is_program
+    from sil.firmware.load import absolute, firmware_node, is_program
     from sil.simulation import load_scenario
 
     if arguments.runs is None and arguments.hours is None:
@@ -93,7 +93,7 @@ def _base(arguments: argparse.Namespace) -> dict[str, Any]:
     target = Path(arguments.target.partition(":")[0])
     if is_program(arguments.target) or target.is_dir():
         firmware = absolute(arguments.target, Path())
-        if arguments.target != IN_C and not target.exists():
+        if arguments.target != "c" and not target.exists():
             raise InputError(f"{target}: no such file; expected a scenario, or a firmware")
         firmware_node(firmware, FirmwareConfig()).close()  # refused here, not in each run
         return {"name": "swarm", "duration_s": 1.0, "request": [], "firmware": firmware}

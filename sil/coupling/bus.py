@@ -15,8 +15,7 @@ from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
 from can_dbc.errors import InputError
-from can_dbc.frame import Frame
-from sil.coupling.clock import NS_PER_S
+from can_dbc.frame import NS_PER_S, Frame
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 
 

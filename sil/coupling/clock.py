@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from can_dbc.errors import InputError
+from can_dbc.frame import NS_PER_S
 
-NS_PER_S = 1_000_000_000
 NEVER_NS = (1 << 48) - 1  # the largest instant of the lockstep, 78 h
 
 

@@ -8,9 +8,6 @@ from __future__ import annotations
 import sys
 import time
 
-FIRST_AFTER_S = 2.0
-LINE_EVERY_S = 10.0
-
 _silent = False
 
 
@@ -30,12 +27,15 @@ class Progress:
         progress(done, size)
     """
 
+    first_after_s = 2.0
+    line_every_s = 10.0
+
     def __init__(self, what: str, unit: str = "", *, at_once: bool = False) -> None:
         """Name the work, and the unit of its amounts, e.g. "s"; at_once: show it from the first call on."""
         self._what = what
         self._unit = f" {unit}" if unit else ""
         self._began_s = time.monotonic()
-        self._next_s = self._began_s + (0.0 if at_once else FIRST_AFTER_S)
+        self._next_s = self._began_s + (0.0 if at_once else self.first_after_s)
         self._first: float | None = None
         self._shown = ""
 
@@ -65,5 +65,5 @@ class Progress:
             print("\r" + bar.ljust(len(self._shown)), end="", file=sys.stderr, flush=True)
             self._shown = bar
         else:
-            self._next_s = now_s + LINE_EVERY_S
+            self._next_s = now_s + self.line_every_s
             print(text, file=sys.stderr, flush=True)

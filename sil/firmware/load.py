@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from sil.coupling.transports.channel import Participant
 
 SHIPPED_IN_C = ROOT / "controller" / "c" / "opc4.c"
-IN_C = "c"  # in place of a file: the shipped firmware in C
 
 
 def firmware_node(
@@ -40,12 +39,12 @@ def in_module(where: str) -> bool:
 
 def is_program(where: str) -> bool:
     """Return whether a name is that of a program, rather than of a file with settings."""
-    return where == IN_C or where.partition(":")[0].endswith((".py", ".c", ".wasm"))
+    return where == "c" or where.partition(":")[0].endswith((".py", ".c", ".wasm"))
 
 
 def absolute(where: str, folder: Path) -> str:
     """Return `where` with its file's path taken from a folder."""
-    if where == IN_C:
+    if where == "c":
         return str(SHIPPED_IN_C)
     file, colon, name = where.partition(":")
     return f"{resolved(folder / file)}{colon}{name}"

@@ -92,7 +92,6 @@ def text_at(memory: memoryview, address: int) -> str:
 
 
 MAX_MODULE_BYTES, MAX_MEMORY_BYTES = 16 << 20, 64 << 20
-MAX_INSTRUCTIONS = 50_000_000  # after so many in one step it counts as an endless loop
 
 _WITHOUT_WASI = (
     "expected a module for wasm32-freestanding: cc -target wasm32-freestanding -nostdlib "
@@ -139,11 +138,13 @@ class Module:
 class Instance:
     """A module at work. Raises InputError for one of another contract, FirmwareFailure when it fails."""
 
+    most_instructions = 50_000_000  # after so many in one step it counts as an endless loop
+
     def __init__(self, module: Module, settings: bytes) -> None:
         self._module, wasmtime = module, module.wasmtime
         self._store = store = wasmtime.Store(module.engine)
         store.set_limits(memory_size=MAX_MEMORY_BYTES)
-        store.set_fuel(MAX_INSTRUCTIONS)
+        store.set_fuel(self.most_instructions)
         try:
             exports = module.linker.instantiate(store, module.code).exports(store)
             self._in, self._out, number_at = (exports[name].value(store) for name in EXPORTS[:3])
@@ -223,17 +224,17 @@ class Instance:
         """Call a function with empty outputs; return the instructions that it took."""
         store, memory, out = self._store, self._memory, self._out
         memory[out : out + COUNTS.size] = bytes(COUNTS.size)
-        store.set_fuel(MAX_INSTRUCTIONS)
+        store.set_fuel(self.most_instructions)
         try:
             function(store)
         except self._module.wasmtime.Trap as trap:
             overflowed = not 0 <= self._stack() <= self._stack_top
-            raise FirmwareFailure(trap_text(trap, MAX_INSTRUCTIONS, overflowed)) from None
+            raise FirmwareFailure(trap_text(trap, self.most_instructions, overflowed)) from None
         what, file, line = FAILURE.unpack_from(memory, out + FAILURE_AT)
         if what:
             place = f"{text_at(memory, file).rpartition('/')[2]}:{line}: "
             raise FirmwareFailure(place + text_at(memory, what))
-        return MAX_INSTRUCTIONS - int(store.get_fuel())
+        return self.most_instructions - int(store.get_fuel())
 
     def _stack(self) -> int:
         pointer = self._stack_pointer

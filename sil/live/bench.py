@@ -22,10 +22,9 @@ import msgspec
 
 from can_dbc.codec import decode, message_type_of
 from can_dbc.errors import CodecError, InputError
-from can_dbc.frame import Frame
+from can_dbc.frame import NS_PER_S, Frame
 from controller import strategies
 from plant.parameters.bounds import bounds
-from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.files.overrides import setting_texts
 from sil.firmware.load import absolute

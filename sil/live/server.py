@@ -30,7 +30,6 @@ from sil.live.bench import Asked
 
 HOST = "127.0.0.1"
 MAX_CONNECTIONS = 64
-MAX_BODY_BYTES = 1 << 20
 
 Log = Callable[[str], None]
 
@@ -296,8 +295,8 @@ async def serve(shared: Bench, port: int, ready: Callable[[str], None]) -> None:
     shared.port = listening.getsockname()[1]
     server = _Server(
         application(shared),
-        max_body_size=MAX_BODY_BYTES,
-        max_buffer_size=MAX_BODY_BYTES,
+        max_body_size=1 << 20,
+        max_buffer_size=1 << 20,
         idle_connection_timeout=60.0,
     )
     server.log = shared.log

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from can_dbc.codec import can_id_of, decode, encode
 from can_dbc.e2e import Protector
 from can_dbc.errors import CodecError, InputError
-from can_dbc.frame import Frame, split_id
+from can_dbc.frame import NS_PER_S, Frame, split_id
 from can_dbc.messages import (
     Air1,
     Chamber,
@@ -30,7 +30,6 @@ from plant.devices.position_circuit import SensorConfig
 from plant.devices.sensors import InductiveSensor
 from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
 from plant.parameters import ParameterSet
-from sil.coupling.clock import NS_PER_S
 from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, SignalMapping
 from sil.log_replay.recorded_frames import Arrival, RecordedFrames, is_intact

@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 
 from can_dbc.codec import spec_of
 from can_dbc.e2e import COUNTERS
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     Gear,
@@ -31,7 +32,6 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.log_replay.recorded_frames import Arrival, counter_of, is_intact
 

@@ -12,18 +12,12 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
+from can_dbc.frame import NS_PER_S
 from sil.logs.format import ZONE_NOTE, Batch, NotAFrame, TextReader, leading_bytes
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import Location
 from sil.logs.source import Chunk, Line
-from sil.logs.times import (
-    NS_PER_S,
-    enough_decimals,
-    format_ns,
-    parse_date,
-    parse_decimal_ns,
-    write_date,
-)
+from sil.logs.times import enough_decimals, format_ns, parse_date, parse_decimal_ns, write_date
 from sil.logs.writer import TextWriter
 
 _PLAIN: Final = re.compile(

@@ -15,11 +15,11 @@ from itertools import accumulate, chain, pairwise, repeat
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from can_dbc.frame import MAX_ID
+from can_dbc.frame import MAX_ID, NS_PER_S
 from sil.logs.format import Batch, NotAFrame, TextReader, time_base
 from sil.logs.frame import MAX_TIME_NS, LogFrame
 from sil.logs.source import Chunk, Line
-from sil.logs.times import NS_PER_S, enough_decimals, format_ns, parse_decimal_ns, utc_ns
+from sil.logs.times import enough_decimals, format_ns, parse_decimal_ns, utc_ns
 from sil.logs.writer import TextWriter
 
 _ERROR_FLAG: Final = 0x20000000

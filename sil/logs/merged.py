@@ -11,6 +11,7 @@ from itertools import chain, islice
 from typing import Any, TypedDict, Unpack
 
 from can_dbc.errors import InputError
+from can_dbc.frame import NS_PER_S
 from sil.files.progress import Progress
 from sil.files.quantity import counted
 from sil.logs.frame import MAX_TIME_NS, LogFrame
@@ -18,7 +19,7 @@ from sil.logs.reader import LogReader
 from sil.logs.registry import open_log
 from sil.logs.report import LogReport
 from sil.logs.selection import Selection
-from sil.logs.times import NS_PER_S, RELATIVE_BELOW_NS, format_ns
+from sil.logs.times import RELATIVE_BELOW_NS, format_ns
 
 
 @dataclass

@@ -17,12 +17,9 @@ from typing import BinaryIO, Final, NamedTuple
 from can_dbc.errors import InputError
 from sil.logs.report import Location, LogReport
 
-CHUNK_BYTES: Final = 1 << 15
 LONGEST_LINE: Final = 1 << 16
 """A longer line is no line of a log; its excess is dropped so that memory stays bounded."""
 
-MOST_UNPACKED_BYTES: Final = 16 << 30
-"""Of a packed file; it bounds the time of reading, memory is bounded anyway. Plain files have no limit."""
 _NOT_LOGS: Final = {
     b"PK\x03\x04": "a zip archive",
     b"BZh": "a bzip2 archive",
@@ -36,6 +33,8 @@ _NOT_LOGS: Final = {
 
 class ByteSource:
     """The bytes of a file, unpacked; `head` holds the first of them, `packed` if it is gzipped."""
+
+    most_unpacked_bytes = 16 << 30  # of a packed file: it bounds the time of reading
 
     def __init__(self, path: str, report: LogReport, copy: str | None = None) -> None:
         """Open a file; a gzip file that is cut off or damaged goes to the report.
@@ -85,9 +84,9 @@ class ByteSource:
         except OSError as error:
             raise self._unreadable(error) from None
         self._unpacked += len(block)
-        if self.packed and self._unpacked > MOST_UNPACKED_BYTES:
+        if self.packed and self._unpacked > self.most_unpacked_bytes:
             raise InputError(
-                f"{self.path}: unpacks to over {MOST_UNPACKED_BYTES >> 30} GiB; expected less, or the file "
+                f"{self.path}: unpacks to over {self.most_unpacked_bytes >> 30} GiB; expected less, or the file "
                 "unpacked"
             )
         return block
@@ -167,7 +166,7 @@ def chunks(stream: ByteSource | BinaryIO) -> Iterator[Chunk]:
     offset = 0
     rest = b""
     while True:
-        block = stream.read(CHUNK_BYTES)
+        block = stream.read(1 << 15)
         content = rest + block
         end = content.rfind(b"\n") + 1
         whole, rest = content[:end], content[end:]
@@ -189,7 +188,7 @@ def chunks(stream: ByteSource | BinaryIO) -> Iterator[Chunk]:
 
 def _skip_to_newline(stream: ByteSource | BinaryIO, passed: int) -> tuple[int, bytes]:
     """Read on to the next newline; return the bytes passed, and those after it already read."""
-    while block := stream.read(CHUNK_BYTES):
+    while block := stream.read(1 << 15):
         end = block.find(b"\n")
         if end >= 0:
             return passed + end + 1, block[end + 1 :]

@@ -8,7 +8,8 @@ from datetime import UTC, datetime
 from decimal import ROUND_HALF_UP, Context, Decimal, InvalidOperation
 from typing import Final
 
-NS_PER_S: Final = 1_000_000_000
+from can_dbc.frame import NS_PER_S
+
 NS_PER_MS: Final = 1_000_000
 _MONTHS: Final = "jan feb mar apr may jun jul aug sep oct nov dec".split()  # noqa: SIM905
 RELATIVE_BELOW_NS: Final = 315_532_800 * NS_PER_S

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from can_dbc.errors import InputError
+from can_dbc.frame import NS_PER_S
 from sil.logs.format import (
     ZONE_NOTE,
     Batch,
@@ -21,7 +22,7 @@ from sil.logs.format import (
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import Location
 from sil.logs.source import Chunk, Line
-from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, utc_ns
+from sil.logs.times import NS_PER_MS, parse_decimal_ns, utc_calendar, utc_ns
 from sil.logs.writer import TextWriter
 
 _DAY_NS: Final = 86_400 * NS_PER_S

@@ -8,20 +8,19 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc import codec
+from can_dbc.e2e import M
 from can_dbc.errors import CodecError
-from can_dbc.frame import Frame
+from can_dbc.frame import NS_PER_S, Frame
 from can_dbc.messages import ControllerStatus
 from sil.coupling.bus import BusFrame
-from sil.coupling.clock import NS_PER_S
 
 Floats = NDArray[np.float64]
-M = TypeVar("M")
 
 CHAMBERS = ("B", "N", "F")
 OPEN_ABOVE = 0.34

@@ -15,6 +15,7 @@ import numpy as np
 
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     DrivelineSpeeds,
@@ -26,7 +27,6 @@ from can_dbc.messages import (
     ShiftState,
 )
 from controller.settings import SensorConfig, WindowConfig
-from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import RunRecord
 from sil.rules.reports import sent
 from sil.rules.rule import Broken, Circumstances

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import ControllerStatus, E2eState, Gear
 from controller.settings import WindowConfig
 from sil.coupling.bus import BusFrame
-from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import RunRecord
 
 SENDER = "controller"

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from can_dbc.codec import can_id_of, decode
 from can_dbc.e2e import ACCEPTED, E2eStatus, Receiver
 from can_dbc.errors import CodecError
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import (
     Chamber,
     ControllerStatus,
@@ -33,7 +34,6 @@ from can_dbc.messages import (
     ValveCommand,
 )
 from controller.strategies import parameters
-from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import true_runs
 from sil.rules import inputs

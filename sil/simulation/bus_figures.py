@@ -8,9 +8,10 @@ from typing import Any
 
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import Fault
 from sil.coupling.bus import BusModel
-from sil.coupling.clock import NS_PER_S, to_ns
+from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.response_times import PeriodicMessage, contract_messages, response_times
 from sil.files.quantity import quantity

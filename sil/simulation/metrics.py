@@ -10,6 +10,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.e2e import M
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     Gear,
@@ -18,10 +20,9 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
-from sil.coupling.clock import NS_PER_S
 from sil.firmware import cost
 from sil.recording.interpolation import hermite, monotone_slopes
-from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, Floats, M, PlantEvent, RunRecord
+from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, Floats, PlantEvent, RunRecord
 from sil.recording.runs import true_runs
 from sil.simulation.impacts import HOLD_S, PICK_UP, counted, worst_speed_m_s
 

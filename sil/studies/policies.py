@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.frame import NS_PER_S
 from plant.batch.batch import Strokes, simulate_batch
 from plant.devices.valve import ValveTiming, switch_schedule
 from plant.effects.setup import Setup
@@ -19,7 +20,6 @@ from plant.integrator.loop import DONE
 from plant.kernel.layout import EventRow, Guard, LengthState
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
-from sil.coupling.clock import NS_PER_S
 from sil.simulation.impacts import HOLD_S, counted, worst_speed_m_s
 
 Floats = NDArray[np.float64]

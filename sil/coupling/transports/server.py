@@ -15,11 +15,6 @@ from can_dbc.messages import StopReason
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.wire import Kind
 
-BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
-
-MONITOR_BACKLOG_BYTES = 8 << 20
-"""A monitor for which more than this waits unread (some 250,000 frames) is disconnected."""
-
 
 class Connection:
     """An accepted connection, and the records that could not be sent on it yet."""
@@ -54,10 +49,11 @@ class Server:
     """Accepts connections, takes the records that they send, and queues what a slow one reads later."""
 
     _listener: socket.socket
+    most_waiting_bytes = 8 << 20  # for a monitor (some 250,000 frames), which is disconnected then
 
     def __init__(self) -> None:
         self._connections: dict[int, Connection] = {}
-        self._buffer = bytearray(BUFFER_BYTES + 1)
+        self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES + 1)
         self._poll = select.epoll()
         self._handlers: dict[int, Callable[[int], None]] = {}
 
@@ -126,7 +122,7 @@ class Server:
     def _receive(self, connection: Connection, length: int) -> None:
         """Take a datagram, which the buffer holds."""
         try:
-            if length > BUFFER_BYTES:
+            if length == len(self._buffer):
                 raise wire.WireError(f"more than {wire.LONGEST_BATCH} records in one datagram")
             with memoryview(self._buffer) as view:
                 records = list(wire.split(view[:length]))
@@ -147,7 +143,7 @@ class Server:
         except OSError:
             self._disconnect(connection)
             return
-        if connection.backlog_bytes > MONITOR_BACKLOG_BYTES:
+        if connection.backlog_bytes > self.most_waiting_bytes:
             waited = f"{connection.backlog_bytes >> 20} MiB of frames waited for it"
             self.warn(f"a monitor that did not read was disconnected ({waited})")
             self._disconnect(connection)

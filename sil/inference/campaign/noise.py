@@ -15,8 +15,6 @@ from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats, Record
 from sil.inference.campaign.observations import Noise, StrokeObservation, kind_of
 
-ORDER = 3
-
 
 def noise_of(values: Floats, time_s: Floats | None = None) -> float:
     """Return the standard deviation of the noise of values [n] at time_s [n], at least their rounding.
@@ -71,8 +69,8 @@ def estimated_noise(
             continue
         for channel in stroke.channels:
             predicted = stroke.predicted(channel, states, stroke.setup)
-            smooth = np.abs(np.diff(predicted, ORDER)) < 0.5 * nominal[channel.kind].sd
-            moved = np.diff(channel.measured - predicted, ORDER)[smooth]
+            smooth = np.abs(np.diff(predicted, 3)) < 0.5 * nominal[channel.kind].sd
+            moved = np.diff(channel.measured - predicted, 3)[smooth]
             differences.setdefault(channel.name, []).append(np.abs(moved))
             column = record[channel.name]
             step = float(np.diff(np.unique(column)).min()) if rounding_of(column) > 0.0 else 0.0
@@ -102,5 +100,5 @@ def _noise(differences: Floats, step: float) -> Noise:
         return Noise(1.0, step, np.inf)
     # the others may be motion; 0.5565 is the rms of these for a standard normal distribution
     lowest = np.sort(differences)[: int(0.7 * len(differences))]
-    sd = float(np.sqrt(np.mean(lowest**2))) / 0.5565 / comb(2 * ORDER, ORDER) ** 0.5
+    sd = float(np.sqrt(np.mean(lowest**2))) / 0.5565 / comb(6, 3) ** 0.5
     return Noise(max(sd, step / 12.0**0.5), step, 2.5 / len(differences) ** 0.5)

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.frame import NS_PER_S
 from plant.batch.prediction import Predictor
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
@@ -23,7 +24,6 @@ from plant.parameters import ParameterSet
 from plant.parts.damper import steady_oil_pressure
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import CampaignStroke, Floats, Record
-from sil.coupling.clock import NS_PER_S
 
 INTERNAL_SD_M = 3e-5
 """Expected scatter of one published position: timer tick and a recorder's step of 0.1 ms."""

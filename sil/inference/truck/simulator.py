@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.frame import NS_PER_S
 from plant.batch.batch import Strokes, simulate_batch
 from plant.devices.sensors import InductiveSensor
-from plant.devices.valve import NS_PER_S, switch_schedule
+from plant.devices.valve import switch_schedule
 from plant.effects import apply_effects
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
@@ -32,8 +32,6 @@ from sil.log_replay.recorded_shifts import RecordedShift
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
-
-MOST_KEPT: Final = 4000
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ class ShiftModel:
         """Return the actuator with a cause of a size in typical ones."""
         key = ("" if cause is None else cause.name, size)
         if key not in self._actuators:
-            if len(self._actuators) > MOST_KEPT:
+            if len(self._actuators) > 4000:
                 self._actuators.clear()
             setup = self._healthy.copy()
             if cause is not None:
@@ -209,7 +207,7 @@ class ShiftModel:
         timing = each[0].setup.timing
         keys = list(zip(which.tolist(), *nearby.T.tolist(), strict=True))
         places = {key: row for row, key in enumerate(dict.fromkeys(keys))}
-        if len(self._moves) > MOST_KEPT:
+        if len(self._moves) > 4000:
             self._moves.clear()
         for key in places:
             if key not in self._moves:

@@ -17,7 +17,6 @@ import numpy as np
 from plant.effects.stroke_conditions import FULL_DUTY
 from sil.studies.policies import Bools, Commands, Floats, Ints
 
-UNIT_S = 0.01
 STEM = {"B": 3, "N": 4, "F": 2}
 ANSWER = {"B": 1, "N": 2, "F": 1}
 STEM_SIZE = 2 * sum(STEM.values())
@@ -87,8 +86,8 @@ def at_releases(knots: Floats, knots_s: Sequence[float], release_s: Floats) -> F
 
 def _pulses(values: Floats, shortest_s: float) -> Floats:
     """Return begin and end of pulses [..., 2 pulses] in s, ascending; one that another cuts ends there."""
-    start_s = UNIT_S * np.maximum(values[..., 0, :], 0.0)
-    length_s = np.maximum(shortest_s + UNIT_S * values[..., 1, :], 0.0)
+    start_s = 0.01 * np.maximum(values[..., 0, :], 0.0)
+    length_s = np.maximum(shortest_s + 0.01 * values[..., 1, :], 0.0)
     order = np.argsort(start_s, axis=-1, kind="stable")
     start_s, length_s = (np.take_along_axis(each, order, axis=-1) for each in (start_s, length_s))
     end_s = start_s + length_s

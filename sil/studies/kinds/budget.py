@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from can_dbc.errors import RunError
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import PositionPulse, ValveCommand
 from controller.settings import FilterConfig
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
@@ -23,7 +24,6 @@ from plant.parameters import ParameterSet
 from plant.parts.flow import charge
 from plant.systems.stroke import simulate
 from sil.coupling.bus import BusFrame
-from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import frame_bits
 from sil.files.overrides import Settings
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
@@ -34,7 +34,6 @@ from sil.studies.study import RowResult, ScenarioStudy, Study, StudyRow, Table
 
 THESIS_DELAYS_S = {"sensor": 0.030, "velocity": 0.010, "valve": 0.008}
 """Delays of information and of a valve as the thesis counts them (4.2.1)."""
-THESIS_WINDOW_S = 0.040
 
 BARS = {
     "waiting for a pulse": "#1f77b4",
@@ -249,6 +248,6 @@ def _thesis_bar() -> tuple[list[Span], list[Note]]:
         label = f"{name} {MS * delay_s:.0f}"
         spans.append(Span(left, left + MS * delay_s, "measured", label, -0.3, 0.3))
         left += MS * delay_s
-    stop = MS * THESIS_WINDOW_S
+    stop = MS * 0.040
     spans.append(Span(stop - 0.15, stop + 0.15, "alarm", "", -0.45, 0.45))
     return spans, [Note(left + 1.0, 0.0, f"slack {stop - left:.0f}", align="left")]

@@ -360,7 +360,7 @@ def test_a_wrong_file_is_refused_in_one_line(write, case) -> None:
 
 
 def test_a_term_that_does_not_return_is_refused(write, monkeypatch) -> None:
-    monkeypatch.setattr(added_term, "TIME_LIMIT_S", 0.05)
+    monkeypatch.setattr(added_term.AddedTerm, "time_limit_s", 0.05)
     path = write(GRIP, "    while force_n < 1e9:\n        force_n += 1.0\n    return force_n")
     with pytest.raises(
         InputError, match=r"mine\.py:9: grip\(.*\) does not return within 0.05 s; exp"

@@ -16,7 +16,6 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.firmware.compiler import compiled
-from sil.live import server
 from sil.live.server import HOST, MAX_CONNECTIONS, Bench, serve
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import load, shipped
@@ -168,7 +167,7 @@ def test_nothing_else_is_read(served: Served, path: str) -> None:
 
 def test_a_huge_request_is_refused(served: Served) -> None:
     try:
-        status, _, _ = served.ask("POST", "/api/frames", b" " * (2 * server.MAX_BODY_BYTES))
+        status, _, _ = served.ask("POST", "/api/frames", b" " * (2 << 20))
     except (ConnectionError, http.client.HTTPException):
         status = 400  # closed before all of it was sent
     assert status in (400, 413)

@@ -213,8 +213,8 @@ def test_standard_input(tmp_path: Path) -> None:
 def test_progress_is_shown_over_all_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "FIRST_AFTER_S", 0.0)
-    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)
+    monkeypatch.setattr(progress.Progress, "first_after_s", 0.0)
+    monkeypatch.setattr(progress.Progress, "line_every_s", 0.0)
     monkeypatch.setattr(progress, "_silent", False)  # whatever command has run here with --quiet
     made(tmp_path / "a.log", range(20_000))
     made(tmp_path / "b.log", range(20_000, 40_000))

@@ -120,7 +120,7 @@ def test_what_unpacks_to_more_than_the_limit_is_refused(
     path = tmp_path / "same.log.gz"
     path.write_bytes(gzip.compress(b"(000.000100) can0 123#11\n" * 200_000))  # 300 times its size
     assert len(list(open_log(path))) == 200_000
-    monkeypatch.setattr(source, "MOST_UNPACKED_BYTES", 1 << 20)
+    monkeypatch.setattr(source.ByteSource, "most_unpacked_bytes", 1 << 20)
     with pytest.raises(InputError, match=r"same\.log\.gz: unpacks to over 0 GiB; expected less"):
         list(open_log(path))
 

@@ -161,7 +161,7 @@ def test_sending_is_refused_and_a_foreign_frame_is_ignored(hub: Hub) -> None:
 def test_a_monitor_that_does_not_read_is_disconnected_and_delays_no_one(
     hub: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "MONITOR_BACKLOG_BYTES", 100_000)
+    monkeypatch.setattr(server.Server, "most_waiting_bytes", 100_000)
     with LocalBus("bench") as lazy, LocalBus("bench") as busy:
         hub.idle(0.0)
         for number in range(10_000):

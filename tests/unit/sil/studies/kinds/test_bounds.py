@@ -21,7 +21,6 @@ from sil.studies.bounds.policy import (
     ANSWER,
     NO_PULSE,
     STEM_SIZE,
-    UNIT_S,
     SwitchingDelays,
     at_releases,
     commands_of,
@@ -110,7 +109,7 @@ def test_slower_valves_are_imitated_stop_for_stop() -> None:
     stop_m_s = []
     for opening_s, closing_s, begin_s in ((0.008, 0.035, 0.12), (0.002, 0.002, 0.12)):
         values = np.full((1, STEM_SIZE), -100.0)
-        values[0, [6, 10]] = begin_s / UNIT_S, (0.04 - closing_s) / UNIT_S
+        values[0, [6, 10]] = begin_s / 0.01, (0.04 - closing_s) / 0.01
         judge = Judge(
             load("nominal"),
             SwitchingDelays(opening_s, closing_s),
