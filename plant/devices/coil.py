@@ -12,9 +12,6 @@ from plant.kernel.compiled import kernel
 STEP_NS = 2_000
 """Step of the integration; the opening is within 5 us of that of a solver with tolerance 1e-9."""
 
-OPENS_AT, CLOSES_AT = 0.55, 0.45
-"""Share of the plunger's travel beyond which the valve counts as open, and as closed."""
-
 
 class Solenoid(NamedTuple):
     """A coil with its plunger, closed at 0: L(x) = L0 + L1 x + L2 x^2 / 2, spring preload_n + stiffness_n_m x."""
@@ -211,7 +208,8 @@ class CoilValve(Valve):
     def _marched(self, state: SolenoidState, end_ns: int) -> tuple[SolenoidState, int, int]:
         if self.duty == 0.0 and state.current_a == 0.0 and state.position_m == 0.0:
             return state, max(end_ns, self._reached_ns), -1  # at rest
-        share = -CLOSES_AT if self.is_open else OPENS_AT
+        # of the plunger's travel, beyond which the valve counts as closed, and as open
+        share = -0.45 if self.is_open else 0.55
         marched: tuple[SolenoidState, int, int] = _march(
             state,
             self.solenoid,

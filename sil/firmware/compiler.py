@@ -27,7 +27,6 @@ STACK_BYTES = 65536
 EXPORTS = ("fw_in", "fw_out", "fw_contract", "fw_init", "fw_step")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion")
 
-_PATIENCE_S = 120.0
 _CACHE = Path(platformdirs.user_cache_dir("opc4-sil"))
 
 
@@ -106,11 +105,11 @@ def _call(path: Path, command: tuple[str, ...]) -> str:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            timeout=_PATIENCE_S,
+            timeout=120.0,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        what = f"the compiler has not finished within {_PATIENCE_S:g} s"
+        what = "the compiler has not finished within 120 s"
         raise InputError(f"{path}: {what}; expected C source") from None
     said = done.stderr.decode(errors="replace")
     lines = said.splitlines(keepends=True)

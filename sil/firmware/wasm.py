@@ -24,35 +24,6 @@ from sil.firmware.contract import COUNTS, FAILURE, FAILURE_AT, MAX_SENT, SIGNAL,
 
 PREFIX = "__ubsan_handle_"  # of the functions that a sanitised module calls for undefined behaviour
 
-_FINDINGS = {
-    "add_overflow": "signed integer overflow",
-    "sub_overflow": "signed integer overflow",
-    "mul_overflow": "signed integer overflow",
-    "negate_overflow": "signed integer overflow",
-    "divrem_overflow": "division by zero, or its quotient overflows",
-    "shift_out_of_bounds": "shift by a negative or too large number, or of too large a value",
-    "out_of_bounds": "array index out of bounds",
-    "local_out_of_bounds": "access out of bounds",
-    "pointer_overflow": "pointer beyond its object, or arithmetic with a null pointer",
-    "type_mismatch_v1": "null or misaligned pointer, or one to too small an object",
-    "float_cast_overflow": "floating-point number that does not fit its integer type",
-    "load_invalid_value": "value that its type does not have",
-    "vla_bound_not_positive": "array of no or negative size",
-    "nonnull_arg": "null pointer where none is allowed",
-    "missing_return": "function that ends without its return",
-    "builtin_unreachable": "place that is declared unreachable",
-}
-_TRAPS = {
-    "STACK_OVERFLOW": "stack overflow",
-    "MEMORY_OUT_OF_BOUNDS": "access outside the memory",
-    "INTEGER_DIVISION_BY_ZERO": "division by zero",
-    "INTEGER_OVERFLOW": "quotient that overflows",
-    "BAD_CONVERSION_TO_INTEGER": "floating-point number that does not fit its integer type",
-    "UNREACHABLE": "unreachable place, or a trap",
-    "INDIRECT_CALL_TO_NULL": "call of a null pointer",
-    "BAD_SIGNATURE": "call of a function by a pointer of another type",
-}
-
 
 class FirmwareFailure(Exception):
     """A firmware failed; the text says where in its source, and how."""
@@ -61,7 +32,25 @@ class FirmwareFailure(Exception):
 def finding(name: str, memory: memoryview, arguments: tuple[Any, ...]) -> str:
     """Return what a call of a sanitiser's handler means: 'FILE:LINE:COLUMN: what'."""
     kind = name.removeprefix(PREFIX).removesuffix("_abort")
-    what = _FINDINGS.get(kind, kind.replace("_", " "))
+    findings = {
+        "add_overflow": "signed integer overflow",
+        "sub_overflow": "signed integer overflow",
+        "mul_overflow": "signed integer overflow",
+        "negate_overflow": "signed integer overflow",
+        "divrem_overflow": "division by zero, or its quotient overflows",
+        "shift_out_of_bounds": "shift by a negative or too large number, or of too large a value",
+        "out_of_bounds": "array index out of bounds",
+        "local_out_of_bounds": "access out of bounds",
+        "pointer_overflow": "pointer beyond its object, or arithmetic with a null pointer",
+        "type_mismatch_v1": "null or misaligned pointer, or one to too small an object",
+        "float_cast_overflow": "floating-point number that does not fit its integer type",
+        "load_invalid_value": "value that its type does not have",
+        "vla_bound_not_positive": "array of no or negative size",
+        "nonnull_arg": "null pointer where none is allowed",
+        "missing_return": "function that ends without its return",
+        "builtin_unreachable": "place that is declared unreachable",
+    }
+    what = findings.get(kind, kind.replace("_", " "))
     if kind == "type_mismatch_v1" and arguments[1] == 0:
         what = "null pointer"
     if not arguments:
@@ -77,7 +66,17 @@ def trap_text(trap: Any, max_instructions: int, overflowed: bool) -> str:
     places = re.findall(r"^ +at (?:.*/)?([^/]+:\d+:\d+)$", trap.message, re.MULTILINE)
     inner = [place for place in places if not place.startswith("opc4.h:")]
     where = (inner or places or names[:1] or ["?"])[0]
-    what = _TRAPS.get(code, code.lower().replace("_", " "))
+    traps = {
+        "STACK_OVERFLOW": "stack overflow",
+        "MEMORY_OUT_OF_BOUNDS": "access outside the memory",
+        "INTEGER_DIVISION_BY_ZERO": "division by zero",
+        "INTEGER_OVERFLOW": "quotient that overflows",
+        "BAD_CONVERSION_TO_INTEGER": "floating-point number that does not fit its integer type",
+        "UNREACHABLE": "unreachable place, or a trap",
+        "INDIRECT_CALL_TO_NULL": "call of a null pointer",
+        "BAD_SIGNATURE": "call of a function by a pointer of another type",
+    }
+    what = traps.get(code, code.lower().replace("_", " "))
     if code == "OUT_OF_FUEL":
         what = f"endless loop: more than {max_instructions} instructions in a step"
     if code == "MEMORY_OUT_OF_BOUNDS" and (overflowed or len(names) - len(set(names)) > 16):
@@ -91,12 +90,6 @@ def text_at(memory: memoryview, address: int) -> str:
     return content.partition(b"\0")[0].decode(errors="replace")
 
 
-MAX_MODULE_BYTES, MAX_MEMORY_BYTES = 16 << 20, 64 << 20
-
-_WITHOUT_WASI = (
-    "expected a module for wasm32-freestanding: cc -target wasm32-freestanding -nostdlib "
-    "-Wl,--no-entry " + " ".join(f"-Wl,--export={name}" for name in EXPORTS)
-)
 _UNTOUCHED = 0xA5
 
 
@@ -116,7 +109,11 @@ class Module:
         self.linker = self.wasmtime.Linker(self.engine)
         for item in self.code.imports:
             if item.module.startswith("wasi"):
-                raise InputError(f"{source}: needs WASI ({item.name}); {_WITHOUT_WASI}")
+                exports = " ".join(f"-Wl,--export={name}" for name in EXPORTS)
+                raise InputError(
+                    f"{source}: needs WASI ({item.name}); expected a module for wasm32-freestanding: "
+                    f"cc -target wasm32-freestanding -nostdlib -Wl,--no-entry {exports}"
+                )
             if not (item.name or "").startswith(PREFIX):
                 raise self._wrong(f"imports {item.module}.{item.name}; expected no imports")
             handler = partial(_report, item.name)
@@ -143,7 +140,7 @@ class Instance:
     def __init__(self, module: Module, settings: bytes) -> None:
         self._module, wasmtime = module, module.wasmtime
         self._store = store = wasmtime.Store(module.engine)
-        store.set_limits(memory_size=MAX_MEMORY_BYTES)
+        store.set_limits(memory_size=64 << 20)
         store.set_fuel(self.most_instructions)
         try:
             exports = module.linker.instantiate(store, module.code).exports(store)
@@ -250,7 +247,7 @@ def _report(name: str, caller: Any, *arguments: Any) -> None:
 
 def read_module(path: Path) -> bytes:
     """Return the content of a module file. Raises InputError for one that is not, or too large."""
-    content = read_user_file(path, "a WebAssembly module", MAX_MODULE_BYTES)
+    content = read_user_file(path, "a WebAssembly module", 16 << 20)
     if not content.startswith(b"\0asm"):
         raise InputError(f"{path}: not WebAssembly; expected a module, or FILE.c")
     return content

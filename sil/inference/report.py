@@ -144,12 +144,10 @@ def _line(name: str, item: Parameter) -> str:
     return f"{name} = {{ {numbers}, unit = {unit}, source = {source} }}"
 
 
-_UNITS = {"s/Pa": (1e8, "ms/bar"), "m^2": (1e6, "mm²"), "m^3": (1e6, "cm³"), "": (100.0, "%")}
-
-
 def sized(value: float, unit: str) -> str:
     """Return a value with its unit as it is said, two digits; one without a unit in per cent."""
-    factor, unit = _UNITS.get(unit, (1.0, unit))
+    units = {"s/Pa": (1e8, "ms/bar"), "m^2": (1e6, "mm²"), "m^3": (1e6, "cm³"), "": (100.0, "%")}
+    factor, unit = units.get(unit, (1.0, unit))
     value *= factor
     plain, _, shown = quantity(value, unit, 12).partition(" ")
     number = float(plain)

@@ -350,9 +350,6 @@ def _mf4(path: str, file: BinaryIO) -> Iterator[_Take]:
             measurement.close()
 
 
-_TABLES: Final = {".csv": _csv, ".mf4": _mf4, ".parquet": _parquet}
-
-
 def decode(
     sources: Sequence[str | os.PathLike[str]],
     target: str | os.PathLike[str],
@@ -375,16 +372,17 @@ def decode(
     InputError
         For what cannot be read or written, and if the log has no message of the database.
     """
+    tables = {".csv": _csv, ".mf4": _mf4, ".parquet": _parquet}
     path = os.fspath(target)
     kind = os.path.splitext(path.removesuffix(".gz"))[1].lower() if path != "-" else ".csv"
-    if kind not in _TABLES or (path.endswith(".gz") and kind != ".csv"):
+    if kind not in tables or (path.endswith(".gz") and kind != ".csv"):
         raise InputError(
             f"{path}: --dbc decodes signals; expected OUT .csv, .csv.gz, .mf4 or .parquet"
         )
     log = open_logs(sources, **how)
     report = DecodeReport(log.path, path, os.fspath(database), log.report)
     decoder = Decoder(load_dbc(database, strict=False), report)
-    with written(path) as file, _TABLES[kind](path, file) as take:
+    with written(path) as file, tables[kind](path, file) as take:
         decoded = (one for frame in log if (one := decoder.decode(frame)) is not None)
         while batch := list(islice(decoded, 4096)):
             take(batch)

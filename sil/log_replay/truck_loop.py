@@ -24,12 +24,6 @@ from sil.simulation.in_memory import Run, run_in_memory
 REQUEST_S: Final = 0.4
 """Simulated time of our request: the firmware is ready, and a request frame is due."""
 
-PULL_N, MESH_N = 100.0, 500.0
-"""Forces of teeth without torque, and of meshing: those of the scenarios truck_*_easy."""
-
-REFERENCE_TORQUE_N_M, TOOTH_FRICTION, TOOTH_RADIUS_M = 2000.0, 0.1, 0.06
-"""Engine's reference torque; friction coefficient and radius of the teeth that slide under it."""
-
 
 class Input(NamedTuple):
     """A value that a simulation of a shift rests on, and where it is from."""
@@ -94,7 +88,7 @@ def inputs_of(recorded: RecordedShift) -> list[Input]:
         _request(recorded),
         _supply(recorded),
         _pull(recorded),
-        Input("plant.mesh_force_n", MESH_N, "default", "not recorded; as in truck_into_gear_easy"),
+        Input("plant.mesh_force_n", 500.0, "default", "not recorded; as in truck_into_gear_easy"),
         *_driveline(recorded),
     ]
 
@@ -127,13 +121,13 @@ def _pull(recorded: RecordedShift) -> Input:
     path, torque = "plant.pull_force_n", recorded.signals["engine_torque_share"]
     cut = recorded.times_s["torque_cut"]
     if torque is None or cut is None:
-        return Input(path, PULL_N, "default", "torque at the cut not known; teeth nearly free")
+        return Input(path, 100.0, "default", "torque at the cut not known; teeth nearly free")
     at_cut = float(torque.values[np.searchsorted(torque.time_s, cut)])
-    force = PULL_N + TOOTH_FRICTION * REFERENCE_TORQUE_N_M * abs(at_cut) / TOOTH_RADIUS_M
+    # without torque as in the scenarios truck_*_easy; the teeth slide under the engine's torque
+    force = 100.0 + 0.1 * 2000.0 * abs(at_cut) / 0.06
     return Input(
         path, force, "derived",
-        f"{PULL_N:g} N + {TOOTH_FRICTION:g} * {abs(at_cut):.0%} of {REFERENCE_TORQUE_N_M:g} N m / "
-        f"{TOOTH_RADIUS_M:g} m; torque at the cut from {torque.origin}",
+        f"100 N + 0.1 * {abs(at_cut):.0%} of 2000 N m / 0.06 m; torque at the cut from {torque.origin}",
     )  # fmt: skip
 
 

@@ -20,16 +20,6 @@ from sil.logs.report import Location, LogReport
 LONGEST_LINE: Final = 1 << 16
 """A longer line is no line of a log; its excess is dropped so that memory stays bounded."""
 
-_NOT_LOGS: Final = {
-    b"PK\x03\x04": "a zip archive",
-    b"BZh": "a bzip2 archive",
-    b"\xfd7zXZ\x00": "an xz archive",
-    b"\x28\xb5\x2f\xfd": "a zstd archive",
-    b"\xff\xfe": "UTF-16 text",
-    b"\n\r\r\n": "a pcapng capture",
-    b"\xd4\xc3\xb2\xa1": "a pcap capture",
-}
-
 
 class ByteSource:
     """The bytes of a file, unpacked; `head` holds the first of them, `packed` if it is gzipped."""
@@ -60,7 +50,16 @@ class ByteSource:
             self._read: Callable[[int], bytes] = packed.read1 if self.packed else self.file.read
             self._held = b""
             self.head = self._held = self.read(1 << 14).removeprefix(b"\xef\xbb\xbf")
-            for mark, name in _NOT_LOGS.items():
+            others = {
+                b"PK\x03\x04": "a zip archive",
+                b"BZh": "a bzip2 archive",
+                b"\xfd7zXZ\x00": "an xz archive",
+                b"\x28\xb5\x2f\xfd": "a zstd archive",
+                b"\xff\xfe": "UTF-16 text",
+                b"\n\r\r\n": "a pcapng capture",
+                b"\xd4\xc3\xb2\xa1": "a pcap capture",
+            }
+            for mark, name in others.items():
                 hint = " (SavvyCAN converts it to GVRET CSV)" if "capture" in name else ""
                 if self.head.startswith(mark):
                     raise InputError(f"{path}: is {name}; expected a log, plain or gzipped{hint}")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from can_dbc.errors import InputError
 from can_dbc.messages import Fault, ShiftState
@@ -22,29 +22,6 @@ from sil.logs.writer import packer
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_COMMENTS: Final = {
-    "position_m": "true position of the stay, 0 = neutral, + = backward (fixed rig: from its start)",
-    "velocity_m_s": "true speed of the stay",
-    "position_internal_m": "position as the control unit reports it: late, and held",
-    "piston_1_m": "piston 1, inward from its outer stop",
-    "piston_2_m": "piston 2, inward from its outer stop",
-    "pressure_oil2_pa": "oil damper, chamber two, absolute",
-    "spent_impulse_n_s": "impulse given to the synchronizer since it was armed",
-    "pulse_s": "time to 8 V of the position sensor's coil",
-    "input_rad_s": "speed of the input shaft, referred to the synchronizer",
-    "output_rad_s": "speed of the output shaft, referred to the synchronizer",
-    "controller_state": "state of the shift: "
-    + ", ".join(f"{s.value} {s.name}" for s in ShiftState),
-    "controller_faults": "faults reported, sum of: "
-    + ", ".join(f"{f.value} {f.name}" for f in Fault if f),
-}
-_OF_CHAMBER: Final = {
-    "pressure": "pressure of chamber {}, absolute",
-    "cmd": "duty of the coil of valve {}, 0 to 1",
-    "current": "current of the coil of valve {}",
-    "valve": "plunger of valve {}: 1 supply, 0 atmosphere",
-}
-
 
 @dataclass(frozen=True, slots=True)
 class TraceReport:
@@ -57,10 +34,32 @@ class TraceReport:
 
 def comment_of(name: str) -> str:
     """Return what a signal of a trace or a campaign is, "" for one of neither."""
-    if name in _COMMENTS:
-        return _COMMENTS[name]
+    comments = {
+        "position_m": "true position of the stay, 0 = neutral, + = backward (fixed rig: from its start)",
+        "velocity_m_s": "true speed of the stay",
+        "position_internal_m": "position as the control unit reports it: late, and held",
+        "piston_1_m": "piston 1, inward from its outer stop",
+        "piston_2_m": "piston 2, inward from its outer stop",
+        "pressure_oil2_pa": "oil damper, chamber two, absolute",
+        "spent_impulse_n_s": "impulse given to the synchronizer since it was armed",
+        "pulse_s": "time to 8 V of the position sensor's coil",
+        "input_rad_s": "speed of the input shaft, referred to the synchronizer",
+        "output_rad_s": "speed of the output shaft, referred to the synchronizer",
+        "controller_state": "state of the shift: "
+        + ", ".join(f"{s.value} {s.name}" for s in ShiftState),
+        "controller_faults": "faults reported, sum of: "
+        + ", ".join(f"{f.value} {f.name}" for f in Fault if f),
+    }
+    if name in comments:
+        return comments[name]
+    of_chamber = {
+        "pressure": "pressure of chamber {}, absolute",
+        "cmd": "duty of the coil of valve {}, 0 to 1",
+        "current": "current of the coil of valve {}",
+        "valve": "plunger of valve {}: 1 supply, 0 atmosphere",
+    }
     match = re.fullmatch(r"(pressure|cmd|current|valve)_([BNF12])(?:_p?a)?", name)
-    return _OF_CHAMBER[match[1]].format(match[2]) if match else ""
+    return of_chamber[match[1]].format(match[2]) if match else ""
 
 
 def is_trace_csv(path: str) -> bool:

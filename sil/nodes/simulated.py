@@ -19,8 +19,6 @@ from sil.coupling.transports.channel import Participant, Received, Turn
 Released = list[tuple[int, Frame]]  # frames with their release instants, ns
 
 INTRUDER_STEP_NS = 1_000_000
-BABBLED_PGN, INTRUDER_SOURCE = 0xFE20, 0xFB
-_NS_PER_US = 1000
 
 
 class Node:
@@ -78,7 +76,7 @@ class _Load:
         can_id: Callable[[], int],
     ) -> None:
         self._owed_per_window_ns = share * window_ns
-        self._instants = window_ns // _NS_PER_US
+        self._instants = window_ns // 1000
         self._bit_ns = NS_PER_S // bitrate
         self._random = draw
         self._can_id = can_id
@@ -92,7 +90,7 @@ class _Load:
             frame = Frame(self._can_id(), self._random.randbytes(8))
             bits = frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
             self._owed_ns -= bits * self._bit_ns
-            at_ns = begin_ns + self._random.randrange(self._instants) * _NS_PER_US
+            at_ns = begin_ns + self._random.randrange(self._instants) * 1000
             frames.append((at_ns, frame))
         return frames
 
@@ -153,7 +151,7 @@ class _Intrusion:
         self._window = window_of(fault)
         self._random = draw
         if isinstance(fault, Babbling):
-            can_id = join_id(fault.priority, BABBLED_PGN, INTRUDER_SOURCE)
+            can_id = join_id(fault.priority, 0xFE20, source=0xFB)
             self._load = _Load(fault.load, INTRUDER_STEP_NS, bitrate, draw, partial(int, can_id))
 
     def released(self, begin_ns: int, deliveries: Received) -> Released:

@@ -49,8 +49,6 @@ PERIODS_NS = {
 }
 """Period of each message; TSC1 only while the transmission controls the engine."""
 
-_BY_PEDAL, _BY_TRANSMISSION = 1, 6
-
 
 class VehicleConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A truck around the actuator: engine, shift console and air supply, with their J1939 messages.
@@ -186,7 +184,7 @@ class VehicleNode(Node):
         if speeds is not None and speeds.referred in self._ratios:
             speed_rad_s = max(0.0, speeds.input_rad_s * self._ratios[speeds.referred])
         return Eec1(
-            torque_mode=_BY_TRANSMISSION if overrides else _BY_PEDAL,
+            torque_mode=6 if overrides else 1,  # by the transmission, by the pedal
             driver_torque=self._config.torque,
             torque=self._torque,
             speed_rad_s=speed_rad_s,

@@ -19,9 +19,6 @@ from sil.report.theme import SERIES
 from sil.simulation.compared import MetricRow, signed
 from sil.simulation.kept_run import EventRow, KeptRun
 
-BEFORE_S, AFTER_S = 0.02, 0.04
-"""What is drawn before the request, and after the last arrival or confirmation."""
-
 
 def compare_figure(runs: Sequence[KeptRun], title: str = "") -> Figure:
     """Return position, speed, pressures and valves of all runs, a stack for each shift."""
@@ -31,7 +28,8 @@ def compare_figure(runs: Sequence[KeptRun], title: str = "") -> Figure:
 
 def _stack(runs: Sequence[KeptRun], shift: int) -> Stack:
     present = [(k, run) for k, run in enumerate(runs) if shift < max(1, len(run.shifts))]
-    low, high = -BEFORE_S, max(_settled_s(run, shift) for _, run in present) + AFTER_S
+    # from just before the request to just after the last arrival or confirmation
+    low, high = -0.02, max(_settled_s(run, shift) for _, run in present) + 0.04
     lines: dict[str, list[Series]] = {}
     rules, spans, ticks = [Rule(0.0, "request")], [], []
     for order, (k, run) in enumerate(present):

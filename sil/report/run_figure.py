@@ -28,7 +28,7 @@ from sil.report.figure import (
 from sil.simulation.metrics import Shift
 from sil.simulation.safety import FaultSpan, detections
 
-SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
+SILENT = "SILENT"
 STATES = "Firmware state"
 
 Interval = tuple[float, float]
@@ -52,7 +52,13 @@ def run_figure(
     panels = [
         *motion_panels(record, zooms, shifts),
         bus_panel(record, zooms),
-        Panel(SHAFTS, "rad/s", shafts, height=130, page_only=True),
+        Panel(
+            "Shaft speeds, referred to the synchronizer",
+            "rad/s",
+            shafts,
+            height=130,
+            page_only=True,
+        ),
     ]
     whole = [Series("", time, truth["position_m"] * MM, "truth", width=1.2)]
     ticks = [(-stroke, "forward"), (0.0, "neutral"), (stroke, "backward")]

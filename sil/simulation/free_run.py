@@ -45,7 +45,6 @@ _SENDERS = {s.can_id: build.PARTICIPANT.get(s.senders[0], GUEST) for s in contra
 SETTLING_S = 1.0
 """The run begins this long after the last node has come, when all have received the others' frames."""
 _LOOK_S = 0.05
-_ROWS_AT_ONCE = 1 << 16
 
 
 class FreeRun:
@@ -213,8 +212,8 @@ class FreeRun:
         beyond = bisect_right(rows["time_s"], last_s)
         aligned = trace.with_suffix(".aligned")
         with TraceWriter(aligned, rows.dtype.names or ()) as file:
-            for begin in range(first, beyond, _ROWS_AT_ONCE):
-                block = np.array(rows[begin : min(begin + _ROWS_AT_ONCE, beyond)])
+            for begin in range(first, beyond, 1 << 16):
+                block = np.array(rows[begin : min(begin + (1 << 16), beyond)])
                 block["time_s"] += late_s
                 file.append(block.tobytes())
         aligned.replace(trace)

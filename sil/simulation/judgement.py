@@ -22,7 +22,7 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from sil.coupling.clock import NS_PER_S
+from can_dbc.frame import NS_PER_S
 from sil.files.quantity import unit_of
 from sil.recording.run_record import CHAMBERS, PIECE_S, RunRecord
 from sil.rules.rule import Circumstances, Rule, Violation, violations

@@ -24,8 +24,6 @@ from sil.simulation.load_scenario import from_table
 from sil.simulation.scenario import scenario_toml
 from sil.swarm.hunt import Failure, Hunt, size_of
 
-FAILURES, TAKEN = "failures", "transitions"
-
 
 def _empty(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
@@ -34,7 +32,7 @@ def _empty(folder: Path) -> None:
 
 def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
     """Write a scenario file for each failure into failures/; return the failures by name of file."""
-    _empty(folder / FAILURES)
+    _empty(folder / "failures")
     failures: dict[str, Failure] = {}
     for failure in (each for generation in hunt.generations for each in generation.failures):
         number = 1 + sum(each.rule == failure.rule for each in failures.values())
@@ -42,7 +40,7 @@ def write_failures(hunt: Hunt, folder: Path) -> dict[str, Failure]:
         scenario = from_table({**failure.table, "name": name}, name).scenario
         sentence = f"# {failure.rule}: {failure.text} at {failure.time_s:.3f} s.\n"
         text = sentence + scenario_toml(scenario) + "\n[expect]\nunfinished = true\n"
-        write_atomically(folder / FAILURES / f"{name}.toml", text)
+        write_atomically(folder / "failures" / f"{name}.toml", text)
         failures[f"{name}.toml"] = failure
     return failures
 
@@ -57,11 +55,11 @@ def _write_transitions(hunt: Hunt, folder: Path) -> dict[str, int]:
             table = hunt.table(generation.number, generation.shortest[name])
             if name not in simplest or size_of(table) < size_of(simplest[name]):
                 simplest[name] = table
-    _empty(folder / TAKEN)
+    _empty(folder / "transitions")
     for name, table in simplest.items():
         stem = name.replace(" -> ", "_")
         text = scenario_toml(from_table({**table, "name": stem}, stem).scenario)
-        write_atomically(folder / TAKEN / f"{stem}.toml", text)
+        write_atomically(folder / "transitions" / f"{stem}.toml", text)
     return taken
 
 
@@ -100,4 +98,4 @@ def _picture(name: str, failure: Failure, folder: Path) -> Picture | None:
         return None
     stem = name.removesuffix(".toml")
     figure = run_figure(run.record, run.shifts, f"{failure.rule} at {failure.time_s:.3f} s", failure.text)  # fmt: skip
-    return Picture(save(figure, folder / FAILURES, stem), f"the run of {name}", f"{stem}.png")
+    return Picture(save(figure, folder / "failures", stem), f"the run of {name}", f"{stem}.png")

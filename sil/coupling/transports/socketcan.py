@@ -20,9 +20,7 @@ from sil.coupling.transports.wire import Kind
 if TYPE_CHECKING:
     from sil.coupling.bus import BusFrame
 
-_SO_RCVBUFFORCE = 33
 _SO_RXQ_OVFL = 40
-_RECEIVE_BUFFER_BYTES = 8 << 20
 _REMOTE_FRAME = 0x4000_0000
 _FULL_QUEUE_WAIT_S = 2.0
 
@@ -48,10 +46,10 @@ class CanSocket:
             packed = b"".join(struct.pack("=II", *entry) for entry in filters)
             self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-            try:
-                self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
+            try:  # SO_RCVBUFFORCE, which the module socket does not have
+                self._socket.setsockopt(socket.SOL_SOCKET, 33, 8 << 20)
             except PermissionError:  # the system's limit holds for others than root
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 << 20)
             self._socket.bind((interface,))
             self._socket.setblocking(False)
         except OSError as error:
