@@ -47,9 +47,9 @@ def _check(firmware: str, as_json: bool) -> int:
     from sil.simulation.load_scenario import load
 
     if firmware.endswith(".c"):
-        from sil.firmware.compiler import WARNINGS, compiled
+        from sil.firmware.compiler import compiled
 
-        compiled(Path(firmware), options=WARNINGS)
+        compiled(Path(firmware), options=("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion"))
     result = run_in_memory(load("lab_n_b", settings={"firmware": firmware}))
     shift = result.shifts[-1]
     reached = shift.confirmed_s is not None

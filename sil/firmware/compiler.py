@@ -25,7 +25,6 @@ from sil.firmware.contract import header
 
 STACK_BYTES = 65536
 EXPORTS = ("fw_in", "fw_out", "fw_contract", "fw_init", "fw_step")
-WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion")
 
 _CACHE = Path(platformdirs.user_cache_dir("opc4-sil"))
 

@@ -24,7 +24,6 @@ PIXELS_PER_INCH = 80.0  # of a panel's height
 MOST_ZOOMS = 3
 """A picture shows this many parts of an axis side by side; a page has a button for each."""
 
-DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}
 LETTER = 0.6  # mean width of a letter over the size of its font
 
 View = tuple[float, float]
@@ -227,7 +226,7 @@ def _series(axes: Axes, panel: Panel) -> None:
         "marked": {"marker": "o"},
     }
     for order, s in enumerate(panel.series):
-        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | styles[s.style]
+        style = {"linestyle": (0, (4, 2)) if s.dashed else "-"} | styles[s.style]
         axes.plot(
             s.x, s.y, color=colour_of(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
             label=s.label or "_", zorder=3 + 0.01 * order, **style,
@@ -294,7 +293,8 @@ def _rule(axes: Axes, rule: Rule) -> None:
     across = rule.axis == "y"
     colour, width = colour_of(rule.role), 1.4 if rule.style == "solid" else 0.9
     line = axes.axhline if across else axes.axvline
-    line(rule.at, color=colour, linewidth=width, linestyle=DASHES[rule.style], zorder=1)
+    dashes: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}
+    line(rule.at, color=colour, linewidth=width, linestyle=dashes[rule.style], zorder=1)
     if not rule.text:
         return
     from matplotlib.patheffects import withStroke

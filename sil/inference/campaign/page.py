@@ -26,26 +26,6 @@ from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 
-PICTURES = {
-    "strokes": (
-        "Measured and simulated strokes",
-        "The strokes that the given model fits worst among those {where}. Grey: measured. Orange: "
-        "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
-        "residuals over their expected scatter; the band is three standard deviations.",
-    ),
-    "next": (
-        "The stroke that tells most",
-        "What the two predict of the first stroke to measure, and their difference over the noise; the "
-        "band is three standard deviations. Tolerances and scatter may follow a part of it.",
-    ),
-    "term": (
-        "What is missing",
-        "What none of the named causes describes, as a function without a form: its value at the "
-        "nodes and their 95 % interval.",
-    ),
-}
-"""What each picture shows, and its caption."""
-
 
 def write_next(result: Diagnosis, folder: Path) -> str | None:
     """Write next/campaign.toml, the strokes to measure next; return its path, None without any."""
@@ -79,9 +59,26 @@ def write_report(
         figures["next"] = next_figure(result.next_experiment)
     where = "held out" if result.held_out else "measured"
     images = spread_out(lambda name: save(figures[name], folder, name), list(figures), workers)
+    captions = {
+        "strokes": (
+            "Measured and simulated strokes",
+            f"The strokes that the given model fits worst among those {where}. Grey: measured. Orange: "
+            "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
+            "residuals over their expected scatter; the band is three standard deviations.",
+        ),
+        "next": (
+            "The stroke that tells most",
+            "What the two predict of the first stroke to measure, and their difference over the noise; the "
+            "band is three standard deviations. Tolerances and scatter may follow a part of it.",
+        ),
+        "term": (
+            "What is missing",
+            "What none of the named causes describes, as a function without a form: its value at the "
+            "nodes and their 95 % interval.",
+        ),
+    }
     pictures = {
-        name: Picture(image, PICTURES[name][0], PICTURES[name][1].format(where=where))
-        for name, image in zip(figures, images, strict=True)
+        name: Picture(image, *captions[name]) for name, image in zip(figures, images, strict=True)
     }
     kind = result.verdict.kind
     again = f"opc4 diagnose {arguments}{files}"

@@ -17,7 +17,6 @@ import numpy as np
 
 from sil.inference.force.delay import without_delay
 from sil.inference.force.fit import (
-    POSITIVE,
     VISCOUS,
     Bank,
     ForceFit,
@@ -93,7 +92,7 @@ class ForceDiagnosis:
         for name in self.leader.body:
             item = Interval.normal(*self.leader.value(name), self._unit(units[name]))
             if name != "mass_kg" or not self._loose_mass():
-                low = max(0.0, item.low) if name in POSITIVE else item.low
+                low = item.low if name == "offset_n" else max(0.0, item.low)
                 parameters[name] = replace(item, low=low)
         return parameters
 

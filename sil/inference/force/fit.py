@@ -23,7 +23,6 @@ from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.verdict import Explanation, Verdict, decide
 
 VISCOUS = "viscous_n_s_m"
-POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
 
 
 @dataclass(frozen=True)
@@ -266,7 +265,7 @@ class Bank:
         free = jackknife(without - values)
         # mass and friction are not negative: what comes out so is left out
         kept = list(range(len(picked)))
-        signed = [k for k, name in enumerate(self.body) if name in POSITIVE]
+        signed = [k for k, name in enumerate(self.body) if name != "offset_n"]
         while signed:
             worst = min(signed, key=lambda k: values[k])
             if values[worst] >= 0.0:

@@ -32,9 +32,6 @@ from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels
 from sil.studies.study import RowResult, ScenarioStudy, Study, StudyRow, Table
 
-THESIS_DELAYS_S = {"sensor": 0.030, "velocity": 0.010, "valve": 0.008}
-"""Delays of information and of a valve as the thesis counts them (4.2.1)."""
-
 BARS = {
     "waiting for a pulse": "#1f77b4",
     "pulse and its report": "#ff7f0e",
@@ -244,7 +241,8 @@ def _budget_figure(study: Study, table: Table) -> Figure:
 def _thesis_bar() -> tuple[list[Span], list[Note]]:
     """Return the thesis's own delays (4.2.1) as the first bar, and its slack."""
     spans, left = [], 0.0
-    for name, delay_s in THESIS_DELAYS_S.items():
+    # delays of information and of a valve as the thesis counts them (4.2.1)
+    for name, delay_s in (("sensor", 0.030), ("velocity", 0.010), ("valve", 0.008)):
         label = f"{name} {MS * delay_s:.0f}"
         spans.append(Span(left, left + MS * delay_s, "measured", label, -0.3, 0.3))
         left += MS * delay_s

@@ -78,7 +78,9 @@ def test_the_shipped_firmware_in_c_gives_the_same_trace() -> None:
 
 @pytest.mark.parametrize("source", [SHIPPED_IN_C, DRAFT], ids=lambda path: path.name)
 def test_the_sources_compile_without_a_warning(source: Path) -> None:
-    assert compiler.compiled(source, options=(*compiler.WARNINGS, "-Werror"))
+    assert compiler.compiled(
+        source, options=("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror")
+    )
 
 
 def test_drawn_shifts_with_faults_send_the_same_frames() -> None:
