@@ -13,6 +13,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from can_dbc.errors import RunError
+from can_dbc.frame import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     Fault,
@@ -22,7 +23,6 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from can_dbc.frame import NS_PER_S
 from sil.files.quantity import unit_of
 from sil.recording.run_record import CHAMBERS, PIECE_S, RunRecord
 from sil.rules.rule import Circumstances, Rule, Violation, violations
