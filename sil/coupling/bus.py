@@ -225,7 +225,7 @@ class BusModel:
         heappush(self._arriving, (delivery.arrival_ns, self._serial, delivery))
 
     def _reject(self, start_ns: int, bits: int, entry: _Ready, error: ErrorFrame) -> None:
-        # instead of the end of a frame, 7 bits, the longest error frame: superposed flags of 12 bits, delimiter 8, intermission 3
+        # instead of a frame's last 7 bits the longest error frame: flags of 12, delimiter 8, intermission 3
         self._free_ns = start_ns + (bits - 7 + 12 + 8 + 3) * self.bit_ns
         self.statistics.frames += 1
         self.statistics.error_frames += 1

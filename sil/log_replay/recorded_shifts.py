@@ -118,9 +118,8 @@ class ShiftReader:
         time_ns, kind, frame = arrival
         if kind in (ValveCommand, SafetyBlow):
             received = [(time_ns, frame)]
-            silent = (
-                not self.frames[SafetyBlow] and self.frames[ValveCommand] >= 20
-            )  # a log without any
+            # after 20 commands the log is taken as one without any SafetyBlow
+            silent = not self.frames[SafetyBlow] and self.frames[ValveCommand] >= 20
             if silent and kind is ValveCommand:
                 received.append((time_ns, self._no_blow.protect(NO_BLOW)))
             for at_ns, duties in self._driver.advance(time_ns, received):

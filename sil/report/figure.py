@@ -96,15 +96,9 @@ class ColourScale:
     label: str
     low: float
     high: float
-    colours: Sequence[str] = (
-        "#440154",
-        "#472d7b",
-        "#3b528b",
-        "#2c728e",
-        "#21918c",
-        "#28ae80",
-        "#5ec962",
-        "#fde725",
+    colours: Sequence[str] = (  # Viridis
+        *("#440154", "#472d7b", "#3b528b", "#2c728e"),
+        *("#21918c", "#28ae80", "#5ec962", "#fde725"),
     )
 
     def colour(self, value: float) -> str:
