@@ -17,15 +17,13 @@ from controller.settings import WindowConfig
 from sil.coupling.bus import BusFrame
 from sil.recording.run_record import RunRecord
 
-SENDER = "controller"
-
 REPORT_HOLDS_S = 0.05  # a status frame is valid for this long
 
 
 def sent(record: RunRecord, kind: Any) -> Iterator[tuple[float, Any]]:
     """Yield the controller's messages that pass end-to-end protection, with the time in s of sending."""
     for entry, message in accepted(record, kind):
-        if message is not None and entry.sender == SENDER:
+        if message is not None and entry.sender == "controller":
             yield entry.released_ns / NS_PER_S, message
 
 

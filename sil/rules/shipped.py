@@ -37,7 +37,7 @@ from controller.strategies import parameters
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord
 from sil.recording.runs import true_runs
 from sil.rules import inputs
-from sil.rules.reports import SENDER, accepted, falsely_reported, sent
+from sil.rules.reports import accepted, falsely_reported, sent
 from sil.rules.rule import Broken, Circumstances, Rule
 
 PUSHING = (ShiftState.PUSH, ShiftState.CONFIRM)
@@ -56,7 +56,7 @@ def orphaned(record: RunRecord, circumstances: Circumstances) -> NDArray[np.bool
     commanded_s = [float(time_s[0])] + [
         entry.arrival_ns / NS_PER_S
         for entry in record.frames_of(can_id_of(ValveCommand))
-        if entry.sender == SENDER
+        if entry.sender == "controller"
     ]
     timeout_s = circumstances.driver_timeout_s
     last_s = np.array(commanded_s)[np.searchsorted(commanded_s, time_s, side="right") - 1]
@@ -227,7 +227,9 @@ def _too_many_attempts(record: RunRecord, circumstances: Circumstances) -> Broke
     if circumstances.disturbed:
         return None
     most = circumstances.control.shift.retries + 1
-    legs = {e.released_ns: c.target for e, c in record.each(ValveCommand) if e.sender == SENDER}
+    legs = {
+        e.released_ns: c.target for e, c in record.each(ValveCommand) if e.sender == "controller"
+    }
     attempts, leg, before, pausing = 0, None, ShiftState.INIT, False
     for entry, status in record.each(ControllerStatus):
         if status.state in PUSHING:
