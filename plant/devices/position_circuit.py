@@ -26,8 +26,10 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """
 
     period_s: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
-    """Period of the pulses; also the period the firmware assumes, unless
-    controller.sensor.period_s is set."""
+    """Period of the pulses. On it depend, in the firmware (controller.sensor.period_s is the same unless
+    it is set): filter, speed, plausible jump and travel, pulses of a step, longest gap, samples before
+    the first gear; e2e.position_timeout_s must be longer, filter.fc_hz below half the rate. Besides: load
+    and worst case of PositionPulse on the bus, and by when the rules expect a motion to show."""
     phase_s: Annotated[float, Meta(ge=0.0, le=0.1)] | None = None
     """Start of the first pulse; if left out, 5 ms before a multiple of the period."""
     capture_s: Annotated[float, Meta(gt=0.0, le=0.1)] = 0.0015

@@ -84,6 +84,12 @@ class Problem(ABC):
 
     unit, offsets, scatter: names of the shared healthy parameters and of those of one block;
     measured: by block, all compared numbers [n].
+
+    A front end is a package of `sil/inference/` (a layer in pyproject.toml) with a class derived from this one.
+    `diagnose` in campaign/diagnosis.py shows the order: the problem, of records and `Spread.of`; `candidates`
+    that they can show; `Search(...).run()`, the verdict; `detectable`; `diagnosis_json` and `headline` of
+    report.py. sil/cli/diagnose.py chooses it by the input. One that fits by itself offers its `Explanation`s
+    to `decide`, as force/ does; truck/ has a verdict of its own.
     """
 
     unit: tuple[str, ...]

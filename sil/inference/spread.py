@@ -51,17 +51,21 @@ class Spread:
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> Spread:
-        """Return the spread of a parameter set: of its calibration, its data sheet, or `repeatability`."""
+        """Return the priors of a parameter set, those of a unit from the first of these that it has.
+
+        - `posterior`: what `opc4 calibrate` wrote into the model file
+        - the data sheet of a cylinder: `low` and `high` of its values, else `CYLINDER`
+        - `repeatability.unit_...` of plant/parameters/nominal.toml
+
+        Of strokes: the rest of `repeatability`. Of a truck: `quantities` in truck/quantities.py.
+        """
         is_cylinder = "cylinder.bore" in parameters
-        names = {
-            path.rpartition(".")[2] for path in parameters if path.startswith("repeatability.")
-        }
-        sd = {name: parameters.value(f"repeatability.{name}") for name in names}
-        rows = {
-            path.partition(".")[2]: parameters.values(path)
-            for path in parameters
-            if path.startswith("posterior.")
-        }
+
+        def paths(table: str) -> dict[str, str]:
+            return {path.partition(".")[2]: path for path in parameters if path.startswith(table)}
+
+        sd = {name: parameters.value(path) for name, path in paths("repeatability.").items()}
+        rows = {name: parameters.values(path) for name, path in paths("posterior.").items()}
         root = posterior_root(list(rows.values()))
         if rows:
             unit = dict(zip(rows, np.sqrt(np.sum(root**2, axis=1)).tolist(), strict=True))
@@ -71,23 +75,11 @@ class Spread:
             if not any(springs):
                 del unit["spring"]
         else:
-            delay, flow, volume = (
-                sd["unit_valve_delay_sd"],
-                sd["unit_flow_sd"],
-                sd["unit_volume_sd"],
-            )
-            unit = {
-                "friction": sd["unit_friction_sd"],
-                "rise": delay,
-                "fall": 3.0 * delay,
-                "flow_in": flow,
-                "flow_out": flow,
-                "volume_a": volume,
-                "volume_b": volume,
-            }
-        if (
-            is_cylinder
-        ):  # not of the unit, but of the campaign: a calibration does not carry it over
+            quantities = ("valve_delay", "flow", "volume")
+            delay, flow, volume = (sd[f"unit_{name}_sd"] for name in quantities)
+            unit = {"friction": sd["unit_friction_sd"], "rise": delay, "fall": 3.0 * delay}
+            unit |= {"flow_in": flow, "flow_out": flow, "volume_a": volume, "volume_b": volume}
+        if is_cylinder:  # of the campaign, not of the unit: no calibration carries it over
             unit["supply"] = 0.01  # share, of the gauge that states it
         full = np.diag(list(unit.values()))
         full[: len(root), : len(root)] = root

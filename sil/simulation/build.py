@@ -11,7 +11,7 @@ import shlex
 import sys
 from collections.abc import Callable, Collection, Container, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import msgspec
@@ -38,7 +38,7 @@ from sil.coupling.transports.wire import GUEST
 from sil.files.extras import ROOT
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.simulation.load_scenario import Loaded
-from sil.simulation.scenario import Scenario, expanded
+from sil.simulation.scenario import FAULT_TABLES, Scenario, expanded
 
 if TYPE_CHECKING:
     from plant.node import PlantConfig
@@ -82,17 +82,15 @@ def plant_config(scenario: Scenario) -> PlantConfig:
     """Return the plant's settings of a scenario."""
     from plant.node import PlantConfig
 
+    faults: dict[str, Any] = {f"{n}s": tuple(getattr(scenario, n)) for n in FAULT_TABLES[1:]}
     return PlantConfig(
         **msgspec.structs.asdict(scenario.plant),
+        **faults,
         initial=INITIAL[scenario.initial_gear],  # type: ignore[arg-type]
         driveline=scenario.driveline,
         valve_driver=scenario.valve_driver,
         coil=scenario.coil,
         sensor=scenario.sensor,
-        sensor_faults=tuple(scenario.sensor_fault),
-        temperature_faults=tuple(scenario.temperature_fault),
-        speed_faults=tuple(scenario.speed_fault),
-        valve_faults=tuple(scenario.valve_fault),
         trace_period_s=scenario.trace_period_s,
         seed=scenario.seed,
     )

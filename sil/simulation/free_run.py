@@ -208,12 +208,11 @@ class FreeRun:
         late_s = (int(zero.read_text()) - self._zero_ns) / NS_PER_S
         rows = open_trace(trace)
         last_s = self._loaded.scenario.duration_s - late_s
-        first = bisect_left(rows["time_s"], -late_s)
-        beyond = bisect_right(rows["time_s"], last_s)
+        rows = rows[bisect_left(rows["time_s"], -late_s) : bisect_right(rows["time_s"], last_s)]
         aligned = trace.with_suffix(".aligned")
         with TraceWriter(aligned, rows.dtype.names or ()) as file:
-            for begin in range(first, beyond, 1 << 16):
-                block = np.array(rows[begin : min(begin + (1 << 16), beyond)])
+            for begin in range(0, len(rows), 1 << 16):
+                block = np.array(rows[begin : begin + (1 << 16)])
                 block["time_s"] += late_s
                 file.append(block.tobytes())
         aligned.replace(trace)

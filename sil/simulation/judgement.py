@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from msgspec.structs import replace
@@ -36,7 +37,6 @@ from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario
 
 RULES_BROKEN = "rules broken"
-UNFINISHED = "neither confirmed nor refused at the end"
 
 
 def judge(
@@ -62,10 +62,7 @@ def judge(
         timing = [each for each in expect.timing if not each.lockstep]
         expect = replace(expect, lockstep={}, timing=timing)
     last = request[-1].gear if request else None
-    checks = evaluate(expect, observed, shifts, metrics, last)
-    for k, check in enumerate(checks):
-        if check.value == UNFINISHED and not check.passed:
-            checks[k] = replace(check, value=f"{UNFINISHED}{_too_short(loaded)}")
+    checks = evaluate(expect, observed, shifts, metrics, last, partial(_too_short, loaded))
     state = {None: None, 1.0: "closed"}.get(balances.get("closed"), "open")
     checks.append(_check("mass and energy balances", state, "closed"))
     return [*checks, *(_deadlines(scenario, bus) if lockstep else [])]
@@ -119,6 +116,7 @@ def evaluate(
     shifts: Sequence[Shift],
     metrics: dict[str, Any],
     last_request: GearName | None = None,
+    too_short: Callable[[], str] = str,
 ) -> list[Check]:
     """Return one Check per expectation, after those that the run did anything; last_request: the last gear."""
     least, visited = wanted.min_frames, observed.visited
@@ -131,9 +129,10 @@ def evaluate(
         checks.append(_check("a valve opened", count, {"min": 1}, count > 0))
     if last_request and wanted.confirmed_gear is None and not wanted.unfinished:
         done = observed.confirmed == Gear[last_request.upper()]
-        state = "confirmed" if done else "refused" if observed.refuses else UNFINISHED
-        limit = "confirmed or refused"
-        checks.append(_check(f"request for {last_request}", state, limit, state != UNFINISHED))
+        state, limit = "confirmed" if done else "refused", "confirmed or refused"
+        if not (is_answered := done or observed.refuses):
+            state = f"neither confirmed nor refused at the end{too_short()}"
+        checks.append(_check(f"request for {last_request}", state, limit, is_answered))
     if wanted.final_gear is not None:
         gear = gear_at(observed.position_m, observed.stroke_m).name.lower()
         checks.append(_check("final gear", gear, wanted.final_gear))

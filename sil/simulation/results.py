@@ -1,4 +1,4 @@
-"""The result of a run: result.json, from whose scenario, model and seed `opc4 run result.json` repeats it, and JUnit."""
+"""The result of a run: result.json, which `opc4 run result.json` repeats from its `scenario`, and JUnit."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     firmware: Cost | None = None
     speed: dict[str, float] = {}
     scenario: Any
-    model: Any
+    """All that is stored to run again: every key with its value, also the seed and changes of the model. Files
+    that it names (model_set, firmware, effects) are read again; effects must have the same content."""
+    model: Any  # every parameter of the plant by path; not read again
 
     status: Literal["passed", "failed", "incomplete"] = "incomplete"
     warnings: list[str] = []  # what is likely to be a mistake in the scenario, with the cause

@@ -28,6 +28,7 @@ from sil.nodes.vehicle import VehicleConfig
 from sil.simulation.expectations import Expectations, GearName
 
 FAULT_TABLES = ("fault", "sensor_fault", "temperature_fault", "speed_fault", "valve_fault")
+"""Lists of faults: of the bus, and of the plant's devices, which are fields of `PlantConfig` with an s."""
 
 Seconds = Annotated[float, Meta(ge=0.0, le=86400.0)]
 
