@@ -87,7 +87,7 @@ class Setup:
             p.spring_k += rate
             p.flow_model = 2.0
             p.t_gas = conditions.temperature_k
-            for name in ("valve_b", "wall_heat", "wall_density"):
+            for name in ("valve_b", "wall_heat", "wall_density", "wall_ends"):
                 setattr(p, name, parameters.value(f"cylinder.{name}"))
             p.air_kappa = parameters.value("cylinder.kappa")
         spool = None

@@ -43,6 +43,7 @@ def shift(setup: Setup, name: str, amount: float) -> None:
     limited = {
         "critical": (Parameters.valve_b, 0.1, 0.58),
         "kappa": (Parameters.air_kappa, 1.0, 1.45),
+        "wall_ends": (Parameters.wall_ends, 0.0, 2.0),
     }
     if name in ("rise", "fall"):
         shift_delay(setup, name, amount)
@@ -73,8 +74,6 @@ def shift_delay(setup: Setup, edge: str, delay_s: float) -> None:
 
 
 @lru_cache(maxsize=1024)
-def _delayed(timing: ValveTiming, name: str, delay_ns: int) -> ValveTiming:
+def _delayed(timing: ValveTiming, name: str, ns: int) -> ValveTiming:
     # a fit asks for the same delays again with every other quantity it moves
-    if name == "rise_ns":
-        return replace(timing, rise_ns=delay_ns)
-    return replace(timing, fall_ns=delay_ns)
+    return replace(timing, rise_ns=ns) if name == "rise_ns" else replace(timing, fall_ns=ns)

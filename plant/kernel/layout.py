@@ -140,6 +140,7 @@ class Parameters(Record):
     air_kappa: Value  # exponent of a cylinder's chambers; 0: those of the thesis
     wall_heat: Value  # heat transfer coefficient of a cylinder's walls [W/(m^2 K)]
     wall_density: Value  # exponent of the air's density in it
+    wall_ends: Value  # area of a chamber's ends that takes part, over that of two flat ones
     # geometry
     stroke: Value = given("fixed.stroke", "length.stroke")
     x_free: Value = given("", "length.x_free_total")

@@ -23,7 +23,8 @@ UNITS = {
         f"posterior.{name}": "1"
         for name in (
             *("friction", "breakaway", "viscous", "mass", "spring", "rise", "fall", "flow_in"),
-            *("flow_out", "critical", "volume_a", "volume_b", "kappa", "wall_heat", "wall_density"),
+            *("flow_out", "critical", "volume_a", "volume_b", "kappa"),
+            *("wall_heat", "wall_density", "wall_ends"),
         )
     },
     **{f"posterior_truck.{name}": unit for name, unit in OF_TRUCK.items()},

@@ -27,6 +27,7 @@ UNITS = {
     "cylinder.valve_b": "-",
     "cylinder.wall_heat": "W/(m^2 K)",
     "cylinder.wall_density": "-",
+    "cylinder.wall_ends": "-",
     "cylinder.kappa": "-",
     "cylinder.tube_length": "m",
     "cylinder.tube_diameter": "m",
@@ -40,10 +41,10 @@ acting: 1 single (the rod's side is open to the air, spring return), 2 double; b
 dead volumes: of chamber 1 (behind the piston) and 2 (on the rod's side) at the retracted end, without
 tubes; spring: pushes back with preload + rate x; valve_c: sonic conductance C of the valve's inlet
 and outlet, or valve_cda: the same as C_d A; valve_b: its critical pressure ratio (ISO 6358); wall_heat:
-heat transfer coefficient of the walls at a density of 1.185 kg/m^3, and wall_density the power of the density
-with which it grows (0.5 to 0.8 for forced convection, 1 for a constant time constant, 0 for a constant one);
-kappa: ratio of the air's specific heats; tube: from the valve to each chamber, length 0 for none; valve_frequency, damping (0: first order) and
-dead_zone: of a proportional valve's spool (`plant.devices.spool`), without them the valves are on/off.
+heat transfer coefficient of the walls at a density of 1.185 kg/m^3, wall_density the power of the density with which it
+grows (0.5 to 0.8 for forced convection), wall_ends the area of a chamber's ends over that of two flat ones (0 and a
+wall_density of 1: a constant time constant); kappa: ratio of the air's specific heats; tube: from the valve to each
+chamber, length 0 for none; valve_frequency, damping (0: first order) and dead_zone: of a proportional valve's spool (`plant.devices.spool`), without them the valves are on/off.
 """
 
 PROPORTIONAL = ("cylinder.valve_frequency", "cylinder.valve_damping", "cylinder.valve_dead_zone")
@@ -51,6 +52,7 @@ USUAL = {
     "cylinder.valve_b": 0.5,
     "cylinder.wall_heat": 40.0,
     "cylinder.wall_density": 0.0,
+    "cylinder.wall_ends": 1.0,
     "cylinder.kappa": 1.4,
 }
 """Values that a data sheet may leave out. Few valves lie outside b = 0.2 to 0.5, and few cylinders outside
@@ -105,6 +107,7 @@ def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
         ("valve_b", 0.0, 0.9),
         ("wall_heat", 0.0, 1e6),
         ("wall_density", 0.0, 2.0),
+        ("wall_ends", 0.0, 10.0),
         ("kappa", 1.0, 1.7),
     )
     for key, low, high in ranges:

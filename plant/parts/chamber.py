@@ -127,9 +127,9 @@ def energy_source(leak, volume, mass, kelvin, p):
 
     kappa leak + (kappa - 1) h A (T_wall - T) / R, h by the power `wall_density` of the density over that of ISO 6358's
     reference air, 1.185 kg/m^3; walls at the supply's temperature, their area that of a cylinder of the bore and the
-    chamber's volume.
+    chamber's volume, its ends times `wall_ends`.
     """
-    area = 2.0 * p.area_p + 2.0 * volume * sqrt(pi / p.area_p)
+    area = 2.0 * p.wall_ends * p.area_p + 2.0 * volume * sqrt(pi / p.area_p)
     transfer = p.wall_heat * (mass / (volume * 1.185)) ** p.wall_density
     heat_w = transfer * area * (p.t_gas - kelvin)
     return p.air_kappa * leak + (p.air_kappa - 1.0) * heat_w / p.r_air

@@ -30,6 +30,7 @@ CYLINDER = {
     "kappa": (1.5, ""),
     "wall_heat": (2.0, ""),
     "wall_density": (0.5, ""),
+    "wall_ends": (1.0, ""),
 }
 """By quantity of a data sheet: standard deviation of its logarithm (of the delays in s; of what is limited in
 normal deviations), and the value whose `low` and `high` state another one as a 95 % interval.
@@ -50,7 +51,7 @@ class Spread:
     root: NDArray[np.float64]
 
     @classmethod
-    def of(cls, parameters: ParameterSet) -> Spread:
+    def of(cls, parameters: ParameterSet, calibrating: bool = False) -> Spread:
         """Return the priors of a parameter set, those of a unit from the first of these that it has.
 
         - `posterior`: what `opc4 calibrate` wrote into the model file
@@ -70,10 +71,10 @@ class Spread:
         if rows:
             unit = dict(zip(rows, np.sqrt(np.sum(root**2, axis=1)).tolist(), strict=True))
         elif is_cylinder:
-            unit = {name: stated(parameters, name) for name in CYLINDER}
             springs = (parameters.value(f"cylinder.spring_{of}") for of in ("rate", "preload"))
-            if not any(springs):
-                del unit["spring"]
+            # of the chambers' ends only healthy strokes say enough
+            free = {"spring": any(springs), "wall_ends": calibrating}
+            unit = {name: stated(parameters, name) for name in CYLINDER if free.get(name, True)}
         else:
             quantities = ("valve_delay", "flow", "volume")
             delay, flow, volume = (sd[f"unit_{name}_sd"] for name in quantities)
@@ -113,6 +114,5 @@ def stated(parameters: ParameterSet, name: str) -> float:
     item = parameters.entries.get(path) or parameters.entries.get(path.replace("_c_", "_cda_"))
     if item is None or item.low is None or item.high is None:
         return usual
-    if path.startswith("valve."):
-        return (item.high - item.low) / 3.92
-    return log(item.high / item.low) / 3.92
+    width = item.high - item.low if path.startswith("valve.") else log(item.high / item.low)
+    return width / 3.92

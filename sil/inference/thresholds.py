@@ -37,7 +37,7 @@ class Thresholds:
     min_share_of_rest: float = 0.3
     """Share of what a hypothesis still leaves that a further cause gains at least."""
     form_error: float = 0.005
-    """Share of what a cause does to which its form is trusted: a further cause gains more than that."""
+    """Share of what a cause does to which its form is trusted (less, where an effect says so): a further cause gains more."""
     slight_size: float = 0.1
     """Typical sizes below which a further cause is slight, ..."""
     min_slight_share: float = 0.02

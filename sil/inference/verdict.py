@@ -22,6 +22,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from plant.effects import CATALOGUE
 from sil.inference.candidate import Candidate
 from sil.inference.evidence import Misfit, misfit, strained
 from sil.inference.fit import FitResult, Fitter
@@ -332,11 +333,13 @@ def _is_accepted(item: E, healthy: E, judged: Sequence[E], blocks: int) -> bool:
         return False
     needed = LIMITS.needed_gain(blocks)
     if len(item.ids) > 1:
-        inexact = 0.5 * LIMITS.form_error**2 * healthy.whole.excess
-        needed = max(needed, 0.5 * LIMITS.min_share_of_rest * item.whole.beyond, inexact)
+        needed = max(needed, 0.5 * LIMITS.min_share_of_rest * item.whole.beyond)
+    errors = {n: CATALOGUE[n].form_error for n in item.ids if n in CATALOGUE}
     for name in item.ids:
         gain, held_out_gain = _gains_of(item, judged, name)
-        if gain < needed or held_out_gain <= 0.0:
+        others = [max(LIMITS.form_error, errors.get(n, 0.0)) for n in item.ids if n != name]
+        inexact = 0.5 * max(others, default=0.0) ** 2 * healthy.whole.excess
+        if gain < max(needed, inexact) or held_out_gain <= 0.0:
             return False
         slight = 0.5 * LIMITS.min_slight_share * healthy.whole.excess
         if gain < slight and name in item.slight:

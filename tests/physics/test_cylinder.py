@@ -138,14 +138,15 @@ def test_a_filled_chamber_is_as_warm_as_its_energy_says_and_cools_to_the_walls(t
     assert cooled[0][-1] * volume / (cooled[1][-1] * gas) == pytest.approx(293.15, abs=0.5)
 
 
-@pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0])
-def test_the_walls_take_heat_by_a_power_of_the_density(tmp_path, exponent) -> None:
-    setup = Setup.of(load(model(tmp_path, wall_heat=100.0, wall_density=exponent)), extend())
+@pytest.mark.parametrize(("exponent", "ends"), [(0.0, 1.0), (0.5, 0.3), (1.0, 0.0)])
+def test_the_walls_take_heat_by_a_power_of_the_density(tmp_path, exponent, ends) -> None:
+    changes = {"wall_heat": 100.0, "wall_density": exponent, "wall_ends": ends}
+    setup = Setup.of(load(model(tmp_path, **changes)), extend())
     thin, dense = (plain(energy_source)(0.0, 1e-5, mass, 350.0, setup.p) for mass in (2e-5, 8e-5))
     assert thin < 0.0 and dense == pytest.approx(4.0**exponent * thin)
     at_reference = plain(energy_source)(0.0, 1e-5, 1.185e-5, 350.0, setup.p)
     bore = pi / 4 * 0.032**2
-    area = 2.0 * bore + pi * 0.032 * 1e-5 / bore
+    area = 2.0 * ends * bore + pi * 0.032 * 1e-5 / bore
     expected = 0.4 * 100.0 * area * (293.15 - 350.0) / load().value("gas.R_air")
     assert at_reference == pytest.approx(expected)
 

@@ -27,6 +27,7 @@ OPTIONAL = {
     "valve_b": "-",
     "wall_heat": "W/(m^2 K)",
     "wall_density": "-",
+    "wall_ends": "-",
     "kappa": "-",
 }
 
