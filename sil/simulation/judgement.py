@@ -50,22 +50,19 @@ def judge(
     """Return all checks of a run that came to its end: it passed if each of them did.
 
     - frames on the bus, the last request answered, the table [expect], the rules of `sil/rules/shipped.py`
-    - mass and energy of the plant are balanced
-    - no frame came later than its worst case: in lockstep, without faults of the bus or other senders
+    - mass and energy of the plant are balanced, no frame came later than its worst case: `invariants`
 
     Limits for the lockstep do not judge nodes with clocks of their own. A run that ends early has no
     checks and did not pass: RunError in memory, `complete` false in result.json.
     """
-    scenario, lockstep = loaded.scenario, "mode" not in bus
+    scenario = loaded.scenario
     request, expect = scenario.request, scenario.expect
-    if not lockstep:
+    if "mode" in bus:
         timing = [each for each in expect.timing if not each.lockstep]
         expect = replace(expect, lockstep={}, timing=timing)
     last = request[-1].gear if request else None
     checks = evaluate(expect, observed, shifts, metrics, last, partial(_too_short, loaded))
-    state = {None: None, 1.0: "closed"}.get(balances.get("closed"), "open")
-    checks.append(_check("mass and energy balances", state, "closed"))
-    return [*checks, *(_deadlines(scenario, bus) if lockstep else [])]
+    return checks + invariants(scenario, balances, bus)
 
 
 class Observed:
@@ -198,13 +195,15 @@ def _too_short(loaded: Loaded) -> str:
     return f"; not even {longer_s:g} s later"
 
 
-def _deadlines(scenario: Scenario, bus: dict[str, Any]) -> list[Check]:
-    """Return the check that no frame exceeded its worst case, unless faults or others send."""
-    if scenario.fault or scenario.bus.extra_load > 0.0 or scenario.bus.guest:
-        return []
+def invariants(scenario: Scenario, balances: Mapping[str, Any], bus: dict[str, Any]) -> list[Check]:
+    """Return what every run keeps besides the rules: balances; in lockstep, if no others send, worst cases."""
+    state = {None: None, 1.0: "closed"}.get(balances.get("closed"), "open")
+    checks = [_check("mass and energy balances", state, "closed")]
+    if scenario.fault or scenario.bus.extra_load > 0.0 or scenario.bus.guest or "mode" in bus:
+        return checks
     late = [
         message["name"]
         for message in bus["messages"]
         if (message["longest_response_s"] or 0.0) > (message["worst_case_s"] or 0.0)
     ]
-    return [_check("frames later than their worst case", late, [])]
+    return [*checks, _check("frames later than their worst case", late, [])]

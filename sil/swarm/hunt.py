@@ -28,6 +28,7 @@ from sil.rules.reports import sent
 from sil.simulation.circumstances import circumstances
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.inputs import input_digests
+from sil.simulation.judgement import invariants
 from sil.simulation.load_scenario import from_table
 from sil.swarm.draw import Table, new_table
 from sil.swarm.shrink import shrink
@@ -42,16 +43,18 @@ class Attempt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def attempt(table: Mapping[str, Any], rules: Sequence[Rule]) -> Attempt:
-    """Run a scenario table and hold it to the rules."""
+    """Run a scenario table and hold it to the rules and to the `invariants`."""
     try:
         loaded = from_table(table, "swarm")
-        record = run_in_memory(loaded).record
+        run = run_in_memory(loaded)
     except InputError as error:
         return Attempt(refused=str(error))
     except RunError as error:
         return Attempt(violations=[Violation("runs_to_the_end", 0.0, str(error))])
-    broken = violations(record, circumstances(loaded.scenario), rules)
-    return Attempt(violations=broken, transitions=transitions(record))
+    broken = violations(run.record, circumstances(loaded.scenario), rules)
+    end_s, checks = loaded.scenario.duration_s, invariants(loaded.scenario, run.balances, run.bus)
+    broken += [Violation(c.name.replace(" ", "_"), end_s, str(c)) for c in checks if not c.passed]
+    return Attempt(violations=broken, transitions=transitions(run.record))
 
 
 def transitions(record: RunRecord) -> dict[str, int]:

@@ -16,6 +16,9 @@ from plant.node import PlantNode
 from sil.cli import main
 from sil.files.overrides import setting_texts
 from sil.recording import run_record
+from sil.rules.shipped import RULES
+from sil.simulation.load_scenario import read
+from sil.swarm.hunt import attempt
 
 LATE, BALANCES = "frames later than their worst case", "mass and energy balances"
 CASES = (
@@ -51,3 +54,9 @@ def test_one_judgement(
     for field in ("passed", "metrics", "balances", "warnings", "trace_sha256"):
         assert msgspec.to_builtins(getattr(run, field)) == stored[field], field
     assert run.bus.items() <= stored["bus"].items()
+
+
+def test_the_swarm_finds_an_open_balance(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PlantNode, "balance", leaking)
+    (broken,) = attempt(read("lab_b_n")[0], RULES).violations
+    assert broken.rule == "mass_and_energy_balances"
