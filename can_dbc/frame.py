@@ -10,7 +10,6 @@ import struct
 from typing import NamedTuple
 from zlib import crc32
 
-NS_PER_S = 1_000_000_000  # times are whole nanoseconds
 MAX_ID = 0x1FFF_FFFF
 MAX_LENGTH = 8
 EDP_BIT = 1 << 25

@@ -14,7 +14,8 @@ from msgspec import Meta
 from can_dbc.codec import can_id_of, decode, encode
 from can_dbc.e2e import Protector
 from can_dbc.errors import CodecError
-from can_dbc.frame import NS_PER_S, Frame
+from can_dbc.frame import Frame
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     DrivelineSpeeds,
     Gear,

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.devices.valve import Drive
 from plant.parts.damper import steady_oil_pressure
 from plant.systems.length_stroke import LengthStroke

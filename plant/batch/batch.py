@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.batch.lane_control import Result
 from plant.batch.lane_steps import WIDTH
 from plant.batch.lanes import MOVING_STATES, Batch, Room, find_covered, room_for_results, run_lanes

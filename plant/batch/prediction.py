@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.batch.batch import BATCH_TOLERANCE, Drive, Strokes, drive_of, fill_still
 from plant.batch.lane_control import Result
 from plant.batch.lanes import Batch, Room, room_for_results, run_lanes

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 from numpy.random import Generator
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.devices.sensors import named_generator
 from plant.devices.valve import seconds_to_ns
 from plant.errors import InputError

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.errors import InputError
 from plant.parameters import ParameterSet
 from plant.parameters.bounds import outside

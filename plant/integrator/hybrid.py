@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
 from plant.integrator.filling import NO_CURVES

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.devices.spool import spool_moves
 from plant.devices.valve import seconds_to_ns, switch_schedule
 from plant.effects.setup import Setup

@@ -15,7 +15,8 @@ from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S, Frame
+from can_dbc.frame import Frame
+from can_dbc.instants import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 
 NEVER_NS = (1 << 48) - 1  # the largest instant of the lockstep, 78 h
 

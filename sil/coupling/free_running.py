@@ -19,7 +19,8 @@ from typing import Any
 import can
 
 from can_dbc.errors import InputError, RunError
-from can_dbc.frame import MAX_ID, NS_PER_S, Frame
+from can_dbc.frame import MAX_ID, Frame
+from can_dbc.instants import NS_PER_S
 from sil.coupling.real_time import Pacer
 from sil.coupling.transports.channel import Participant, silent
 from sil.coupling.transports.local import LocalBus, RunEnded

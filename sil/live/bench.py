@@ -22,7 +22,8 @@ import msgspec
 
 from can_dbc.codec import decode, message_type_of
 from can_dbc.errors import CodecError, InputError
-from can_dbc.frame import NS_PER_S, Frame
+from can_dbc.frame import Frame
+from can_dbc.instants import NS_PER_S
 from controller import strategies
 from plant.parameters.bounds import bounds
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits

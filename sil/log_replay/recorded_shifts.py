@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from can_dbc.codec import can_id_of, decode, encode
 from can_dbc.e2e import Protector
 from can_dbc.errors import CodecError, InputError
-from can_dbc.frame import NS_PER_S, Frame, split_id
+from can_dbc.frame import Frame, split_id
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     Air1,
     Chamber,

@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 from can_dbc.codec import spec_of
 from can_dbc.e2e import COUNTERS
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     Gear,

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S, join_id
+from can_dbc.frame import join_id
+from can_dbc.instants import NS_PER_S
 from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.logs import LogFrame

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from sil.logs.format import ZONE_NOTE, Batch, NotAFrame, TextReader, leading_bytes
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import Location

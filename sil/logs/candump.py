@@ -15,7 +15,8 @@ from itertools import accumulate, chain, pairwise, repeat
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from can_dbc.frame import MAX_ID, NS_PER_S
+from can_dbc.frame import MAX_ID
+from can_dbc.instants import NS_PER_S
 from sil.logs.format import Batch, NotAFrame, TextReader, time_base
 from sil.logs.frame import MAX_TIME_NS, LogFrame
 from sil.logs.source import Chunk, Line

@@ -11,7 +11,7 @@ from itertools import chain, islice
 from typing import Any, TypedDict, Unpack
 
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from sil.files.progress import Progress
 from sil.files.quantity import counted
 from sil.logs.frame import MAX_TIME_NS, LogFrame

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from decimal import ROUND_HALF_UP, Context, Decimal, InvalidOperation
 from typing import Final
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 
 NS_PER_MS: Final = 1_000_000
 _MONTHS: Final = "jan feb mar apr may jun jul aug sep oct nov dec".split()  # noqa: SIM905

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from sil.logs.format import (
     ZONE_NOTE,
     Batch,

@@ -9,7 +9,8 @@ from functools import partial
 from can_dbc import messages
 from can_dbc.codec import can_id_of, spec_of
 from can_dbc.e2e import Protector
-from can_dbc.frame import NS_PER_S, Frame, join_id
+from can_dbc.frame import Frame, join_id
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import Gear, ShiftRequest
 from sil.coupling.clock import next_tick, to_ns
 from sil.coupling.faults import Babbling, Intrusion, Replayed, Sent, Spoofed, window_of

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.user_file import parse_json
 from sil.recording.recorder import BUS_FRAMES, EVENTS, PLANT_TRACE, TRACE_FORMAT
 from sil.recording.run_record import STORED_FRAME, PlantEvent, RunRecord, StoredFrames, piece_spans

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from can_dbc import codec
 from can_dbc.e2e import M
 from can_dbc.errors import CodecError
-from can_dbc.frame import NS_PER_S, Frame
+from can_dbc.frame import Frame
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import ControllerStatus
 from sil.coupling.bus import BusFrame
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import Chamber, ControllerStatus, Eec1, Etc2, SafetyBlow, Tsc1
 from sil.recording.run_record import CHAMBERS, Floats, RunRecord
 from sil.report.figure import (

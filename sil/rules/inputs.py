@@ -15,7 +15,7 @@ import numpy as np
 
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     DrivelineSpeeds,

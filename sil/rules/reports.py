@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import ControllerStatus, E2eState, Gear
 from controller.settings import WindowConfig
 from sil.coupling.bus import BusFrame

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from can_dbc.codec import can_id_of, decode
 from can_dbc.e2e import ACCEPTED, E2eStatus, Receiver
 from can_dbc.errors import CodecError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     Chamber,
     ControllerStatus,

@@ -8,7 +8,7 @@ from typing import Any
 
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import Fault
 from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns

@@ -21,7 +21,7 @@ from msgspec.structs import replace
 
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from sil.coupling.bus import BusFrame
 from sil.coupling.clock import to_ns
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits

@@ -14,7 +14,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from can_dbc.errors import RunError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     Fault,

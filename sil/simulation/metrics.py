@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.e2e import M
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
     Gear,

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import ControllerStatus, Fault, Gear
 from sil.files.quantity import quantity
 from sil.recording.run_record import CHAMBERS, OPEN_ABOVE, RunRecord

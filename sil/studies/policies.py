@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.batch.batch import Strokes, simulate_batch
 from plant.devices.valve import ValveTiming, switch_schedule
 from plant.effects.setup import Setup

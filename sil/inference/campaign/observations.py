@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from plant.batch.prediction import Predictor
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions

@@ -137,7 +137,7 @@ class System(NamedTuple):
 
     def own_step(self, damping: float) -> Floats:
         """Return the damped step of each shift's quantities [shifts, differing], the shared ones kept."""
-        return np.einsum("kij,kj->ki", self._own_inverse(damping), self.own_gradient)
+        return np.asarray(np.einsum("kij,kj->ki", self._own_inverse(damping), self.own_gradient))
 
     def _own_inverse(self, damping: float) -> Floats:
         diagonal = np.einsum("kii->ki", self.own)[:, :, None] * np.eye(self.own.shape[1])

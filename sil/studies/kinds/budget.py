@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from can_dbc.errors import RunError
-from can_dbc.frame import NS_PER_S
+from can_dbc.instants import NS_PER_S
 from can_dbc.messages import PositionPulse, ValveCommand
 from controller.settings import FilterConfig
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
