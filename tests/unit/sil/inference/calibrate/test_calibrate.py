@@ -40,12 +40,14 @@ def mine(calibrated: StrokeCalibration, tmp_path_factory: pytest.TempPathFactory
     return load(str(path))
 
 
+@pytest.mark.slow
 def test_values_come_near_the_truth_from_a_wrong_data_sheet(calibrated: StrokeCalibration) -> None:
     for path, true in TRUTH.items():
         assert calibrated.values[path].value == pytest.approx(true, rel=0.06), path
     assert "flow_in" not in calibrated.undetermined
 
 
+@pytest.mark.slow
 def test_what_is_left_of_held_out_strokes_is_in_the_verdict_and_the_file(
     calibrated: StrokeCalibration, mine: ParameterSet
 ) -> None:
@@ -55,6 +57,7 @@ def test_what_is_left_of_held_out_strokes_is_in_the_verdict_and_the_file(
     assert mine.value("discrepancy.position_m") == pytest.approx(left.discrepancy)
 
 
+@pytest.mark.slow
 def test_the_file_stands_alone_and_keeps_how_well_each_value_is_known(
     calibrated: StrokeCalibration, mine: ParameterSet
 ) -> None:
@@ -70,6 +73,7 @@ def test_the_file_stands_alone_and_keeps_how_well_each_value_is_known(
     assert spread.unit["flow_in"] < 0.1 * Spread.of(calibrated.parameters).unit["flow_in"]
 
 
+@pytest.mark.slow
 def test_the_page_holds_every_stroke(calibrated: StrokeCalibration, tmp_path: Path) -> None:
     figure = strokes_figure(calibrated)
     write_page(calibrated, figure, tmp_path / "mine.html", "opc4 calibrate healthy --out mine.toml")

@@ -90,6 +90,7 @@ def test_the_file_stands_alone_and_tightens_a_later_diagnosis(
     assert after["supply"] == before["supply"]  # of the day, not of the truck
 
 
+@pytest.mark.slow
 def test_by_the_command(logs: list[str], tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
     done = run_opc4(tmp_path, "calibrate", *logs, "--out", "mine.toml", "--json")
