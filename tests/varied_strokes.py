@@ -16,10 +16,7 @@ from plant.kernel.packing import Floats
 def varied_strokes(
     setup: Setup, duration_s: float, changes: Mapping[int, float | Floats]
 ) -> Strokes:
-    """One stroke with some packed parameters changed: index in plant.kernel.layout -> values [n].
-
-    What is at supply or atmospheric pressure at the start follows that pressure.
-    """
+    """One stroke with packed parameters changed: index in plant.kernel.layout -> values [n]; pressures at its start follow."""
     base = Strokes.from_setups([setup], duration_s)
     n = max((np.size(value) for value in changes.values()), default=1)
     packed = np.repeat(base.packed, n, axis=0)

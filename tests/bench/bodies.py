@@ -54,11 +54,7 @@ file = "a.csv"
 def reference(
     rng: np.random.Generator, span_s: float, travel_m: float, w: np.ndarray
 ) -> Callable[[float], tuple[float, float, float]]:
-    """Return a motion as position, speed and acceleration by time.
-
-    Sines of the frequencies w [3] in rad/s, a sweep over two of them, or moves with the least jerk and
-    a rest after each.
-    """
+    """Motion as position, speed and acceleration by time: sines of w [3] in rad/s, a sweep over two, or moves of least jerk."""
     sizes = travel_m * np.array([0.6, 0.3, 0.15]) * rng.uniform(0.5, 1.0, 3)
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     levels = travel_m * rng.uniform(-0.8, 0.8, int(span_s * w[1]) + 2)

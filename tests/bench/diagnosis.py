@@ -1,8 +1,4 @@
-"""One hypothesis fitted to a campaign, compared with what the same fit costs through scipy's solve_ivp.
-
-The scipy side is the judge of the tests (its own equations, restarted at every event); the fit's
-simulations are counted and multiplied by the judge's time for one stroke of each kind.
-"""
+"""One hypothesis fitted to a campaign: the fit's simulations, times the cost of one stroke of each kind by scipy's judge."""
 
 from __future__ import annotations
 

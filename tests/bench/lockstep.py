@@ -1,8 +1,4 @@
-"""Lockstep turns a second over each transport, compared with the floor under it.
-
-Floors: the plant alone, advanced over the same grants; a ping-pong of two processes over a Unix
-seqpacket socket, as many turns and bytes; the same in CAN frames.
-"""
+"""Lockstep turns a second by transport; floors: the plant alone, a ping-pong over a Unix socket, the same in CAN frames."""
 
 from __future__ import annotations
 

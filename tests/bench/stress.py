@@ -1,7 +1,4 @@
-"""The bus under stress: what becomes of two shifts when others disturb, one scenario a line.
-
-The scenarios are files as a user writes them, in tests/support/disturbed.
-"""
+"""The bus under stress: what becomes of two shifts when others disturb, one file of tests/support/disturbed a line."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""The list of claims, and the check of each.
-
-claims.toml holds all words; a function `_f07_...` in one of the modules named in `CHAPTERS` measures what
-claim F07 is about. To add a claim: its table in claims.toml, and a function in the module of its
-chapter.
-"""
+"""The list of claims (words: claims.toml), and the check of each: a function `_f07_...` in its chapter's module."""
 
 from __future__ import annotations
 

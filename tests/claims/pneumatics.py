@@ -78,10 +78,7 @@ def _f16_delays() -> Outcome:
 
 
 def _coil_delays_s(duty: float = 0.98, **changes: float) -> tuple[float, float]:
-    """Return opening and closing delay of a valve with its coil, switched on for half a second.
-
-    It opens at full duty and is held at `duty`. `changes`: fields of `CoilConfig`.
-    """
+    """Opening and closing delay of a valve with its coil: full duty, held at `duty`, 0.5 s; changes: fields of `CoilConfig`."""
     on_ns, off_ns = 0, 500_000_000
     valve = CoilValve(ValveTiming.from_parameters(nominal()), CoilConfig(**changes))  # type: ignore[arg-type]
     valve.command(on_ns, 0.98)

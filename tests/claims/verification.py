@@ -1,8 +1,4 @@
-"""Chapter 3.3-3.4: the system model and its verification.
-
-The thesis's measurements are not at hand; a disturbed plant takes their part where a claim is
-about the size and sign of deviations, and says so.
-"""
+"""Chapter 3.3-3.4: the model's verification; a disturbed plant stands for the thesis's measurements, not at hand."""
 
 from __future__ import annotations
 

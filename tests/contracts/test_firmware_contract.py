@@ -1,7 +1,4 @@
-"""What a firmware in this place must keep towards the bus: order, numbering, rest, determinism.
-
-Every strategy runs through it, as a session on the bus with a toy of the actuator.
-"""
+"""What every strategy keeps towards the bus, with a toy of the actuator: order, numbering, rest, determinism."""
 
 from __future__ import annotations
 
@@ -150,8 +147,7 @@ def test_never_both_gears_and_a_blow_takes_over_from_its_command(session: Sessio
 
 
 def test_same_frames_from_the_same_inputs(session: Session) -> None:
-    config = session.node.config
-    assert Session(config, WISHES).run(2500).sent == session.sent
+    assert Session(session.node.config, WISHES).run(2500).sent == session.sent
 
 
 def test_the_node_is_a_participant() -> None:

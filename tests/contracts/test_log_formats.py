@@ -268,8 +268,7 @@ IMPOSSIBLE = {
 @every_format
 @pytest.mark.parametrize("frame", IMPOSSIBLE.values(), ids=IMPOSSIBLE.keys())
 def test_impossible_frames_are_refused(fmt: Format, frame: LogFrame, tmp_path: Path) -> None:
-    path = tmp_path / f"log.{fmt.suffix}"
-    writer = open_writer(path)
+    writer = open_writer(tmp_path / f"log.{fmt.suffix}")
     with pytest.raises(InputError, match=r"frame 1: .*; expected"), writer:
         writer.write(frame)
     assert list(tmp_path.iterdir()) == []
@@ -286,8 +285,7 @@ def test_the_clock_may_step_back(fmt: Format, tmp_path: Path) -> None:
     path = tmp_path / f"log.{fmt.suffix}"
     write(path, frames)
     reader = open_log(path)
-    found = list(reader)
-    assert [(f.time_ns, f.data) for f in found] == [(f.time_ns, f.data) for f in frames]
+    assert [(f.time_ns, f.data) for f in reader] == [(f.time_ns, f.data) for f in frames]
     assert reader.report.backwards == 1
     assert "steps back" in reader.report.backwards_locations[0]
     with pytest.raises(InputError, match="steps back"):
@@ -498,10 +496,7 @@ def many_frames(fmt: Format, count: int) -> Iterator[LogFrame]:
     ids=lambda fmt: fmt.suffix,
 )
 def test_memory_is_flat(fmt: Format, tmp_path: Path) -> None:
-    """Reading and writing take some MB, whatever the log holds: a fraction of all its frames.
-
-    A frame in memory is more than 250 bytes. An MF4 is in memory as a whole, which its page says.
-    """
+    """Some MB, whatever the log holds; a frame in memory is more than 250 bytes. An MF4 is read as a whole, as its page says."""
     count, most = 80_000, 6 << 20
     assert most < count * 250
     path = tmp_path / f"log.{fmt.suffix}"

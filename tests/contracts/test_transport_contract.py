@@ -73,8 +73,7 @@ def test_same_hash_as_in_one_process(transport: str, tmp_path: Path, reference: 
     assert run.sha256() == reference
     assert run.lockstep.warnings == []
     assert os.sched_getaffinity(0) == cores
-    frames = len((run.folder / BUS_LOG).read_text().splitlines())
-    assert summary.frames == frames > 200
+    assert summary.frames == len((run.folder / BUS_LOG).read_text().splitlines()) > 200
     trace = open_trace(run.folder / PLANT_TRACE)
     assert trace.dtype.names == COLUMNS
     assert len(trace) == 1 + 60 == len(set(trace[COLUMNS[0]])), "once per event and at the end"

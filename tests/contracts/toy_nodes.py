@@ -1,7 +1,4 @@
-"""Small participants for the transports' tests: whatever they hear changes whatever they say.
-
-As a program: `toy_nodes.py NAME CHANNEL [--trace FILE] [--at NS WHAT]` joins a run as that node.
-"""
+"""Participants whose words depend on all they hear; `toy_nodes.py NAME CHANNEL [--trace FILE] [--at NS WHAT]` runs one."""
 
 from __future__ import annotations
 
@@ -35,11 +32,7 @@ COLUMNS = ("time_s", "heard", "position_m")
 
 
 class ToyNode:
-    """Sends two frames at each event, the second one released 100 µs late.
-
-    Their content is a running checksum of everything heard, arrival instants included.  The one
-    with a trace writes a row per event.
-    """
+    """Two frames an event, the second 100 µs late: a running checksum of all heard, arrivals included; a trace row each."""
 
     def __init__(
         self,

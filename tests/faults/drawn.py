@@ -28,12 +28,7 @@ def base(shift: str) -> dict[str, Any]:
 
 
 def faults_of(number: int) -> list[FaultKind]:
-    """Which faults scenario `number` has.
-
-    The first ones of as many scenarios as there are faults are every fault once, shuffled; a
-    second one comes from a group drawn first, so that the many faults of frames do not crowd out
-    the few of a sensor.
-    """
+    """Faults of scenario `number`: the first have every fault once, shuffled; a second one is drawn by group, then by fault."""
     groups = vocabulary()
     every = [fault for group in groups.values() for fault in group]
     turn, place = divmod(number, len(every))

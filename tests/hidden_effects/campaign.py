@@ -1,7 +1,4 @@
-"""A measured campaign with something hidden in it, by the judge's implementation.
-
-Strokes, tolerances, scatter, noise and quantisation as in a real campaign; all drawn from one seed.
-"""
+"""A campaign as a real one, measured on the judge with something hidden in it; all drawn from one seed."""
 
 from __future__ import annotations
 
@@ -103,10 +100,7 @@ def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> 
 
 
 def measure_next(folder: Path, hidden: Hidden, seed: int, day: int = 5) -> Path:
-    """Measure the strokes of a campaign.toml that has none, on the unit of that seed, another day.
-
-    The gauges' zeros are new; the answer is not in the folder.
-    """
+    """Measure a campaign.toml's strokes on the unit of that seed, another day: new zeros, and no answer in the folder."""
     stated = tomllib.loads((folder / "campaign.toml").read_text(encoding="utf-8"))
     plan = [
         (

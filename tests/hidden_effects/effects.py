@@ -1,7 +1,4 @@
-"""What can be hidden in a campaign: changes of the judge's actuator, by name, with their sizes.
-
-`draw(name, level, rng)` gives the changes; the diagnosis knows nothing of it.
-"""
+"""What can be hidden in a campaign: changes of the judge's actuator by name and size, unknown to the diagnosis."""
 
 from __future__ import annotations
 

@@ -133,9 +133,7 @@ class Runner:
         return killed(loaded_anew(self.session, mutant, path, stale, files))
 
     def planned(self, mutant: Mutant) -> Plan:
-        """The tests that reach a mutant, within the budget: first those that noticed others, then the
-        module's own, then quick ones.
-        """
+        """The tests that reach a mutant, within the budget: those that noticed others first, the module's own, quick ones."""
         known: Plan = {}
         for found in self.reaches:
             lines = found.lines.get(mutant.module, {})

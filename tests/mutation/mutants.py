@@ -13,10 +13,7 @@ PACKAGES = ("can_dbc", "controller")
 
 
 class Mutant(NamedTuple):
-    """One change: its place, the lines before and after, and the whole module with it.
-
-    `function` is the outermost one around it, empty for what stands outside of functions.
-    """
+    """One change: place, lines before and after, the whole module; `function`: the outermost one around it, or empty."""
 
     module: str
     place: str

@@ -195,10 +195,7 @@ TESTS = (
 
 
 class Reach(NamedTuple):
-    """What the tests of one file reach: by module and line, its tests; all of them where loading does.
-
-    `loading`: by module, the lines that run before any test.
-    """
+    """What the tests of a file reach: tests by module and line; `loading`: lines by module that run before any test."""
 
     lines: dict[str, dict[int, set[str]]]
     loading: dict[str, set[int]]

@@ -28,10 +28,7 @@ STUCK = {Parameters.f_static_s: 1e6, Parameters.f_static_p: 1e6}
 
 
 class Bare(HybridSystem):
-    """One actuator at time 0: nominal, with packed numbers and states changed.
-
-    changes: place in the parameter array -> number; state: place in the state -> number.
-    """
+    """One actuator at time 0, nominal but for changes (place in the parameters -> number) and state (place -> number)."""
 
     def __init__(
         self,

@@ -66,8 +66,7 @@ def made() -> tuple[Setup, Stroke]:
 
 
 def pressures_of(stroke: Stroke) -> np.ndarray:
-    names = stroke.conditions.chambers
-    return np.column_stack([stroke.pressure_pa(name) for name in names])
+    return np.column_stack([stroke.pressure_pa(name) for name in stroke.conditions.chambers])
 
 
 def test_the_motion_gives_back_the_pressures() -> None:

@@ -32,10 +32,7 @@ def extend(supply_pa: float = SUPPLY) -> StrokeConditions:
 
 
 def by_scipy(acting: float) -> np.ndarray:
-    """Position of the extending cylinder [n] in m, from the equations as a textbook has them.
-
-    States: position, speed, and mass and internal energy of the air in each chamber.
-    """
+    """Position of the extending cylinder [n] in m by a textbook; states: position, speed, mass and energy of each chamber."""
     v = {name: value for name, (value, _unit) in VALUES.items()}
     gas, t0 = load().value("gas.R_air"), 293.15
     kappa, b, h = 1.4, 0.5, 40.0

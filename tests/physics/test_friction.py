@@ -98,8 +98,7 @@ def test_breaks_away_when_the_rising_force_reaches_the_static_friction() -> None
     rig = Bare(FIXED, changes)
     rig.advance(10 * MS, [(0, 0, 1.0)])
     assert rig.names()[0] == "breakaway"
-    areas = rig.packed.area_p
-    assert rig.events[0].time_s == pytest.approx(71.0 / (areas * slope), abs=1e-9)
+    assert rig.events[0].time_s == pytest.approx(71.0 / (rig.packed.area_p * slope), abs=1e-9)
     assert rig.events[0].position_m == 0.0
 
 

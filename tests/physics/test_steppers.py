@@ -1,7 +1,4 @@
-"""The two Runge-Kutta methods on equations with known solutions: order, dense output, stiffness.
-
-The step functions run as plain Python, their right-hand side replaced by the test's.
-"""
+"""The two Runge-Kutta steps as plain Python on equations with known solutions: order, dense output, stiffness."""
 
 from __future__ import annotations
 
@@ -129,8 +126,7 @@ def test_error_estimate_shrinks_with_its_order(
 
 @pytest.mark.parametrize("rate", [1e4, 1e7, 1e10])
 def test_stiff_method_is_l_stable(monkeypatch: pytest.MonkeyPatch, rate: float) -> None:
-    method = Method(monkeypatch, True, lambda _t, y: -rate * y, 1)
-    y1, _ = method.step(0.0, np.array([1.0]), 1.0)
+    y1, _ = Method(monkeypatch, True, lambda _t, y: -rate * y, 1).step(0.0, np.array([1.0]), 1.0)
     assert abs(y1[0]) < 20.0 / rate
 
 
@@ -140,8 +136,7 @@ def test_stiff_method_follows_a_slow_solution_beside_a_fast_decay(
     def rhs(t: float, y: Floats) -> Floats:
         return np.array([-1e6 * (y[0] - np.cos(t)) - np.sin(t), y[0]])
 
-    method = Method(monkeypatch, True, rhs, 2)
-    end = method.march(np.array([1.0, 0.0]), 2.0, 40)
+    end = Method(monkeypatch, True, rhs, 2).march(np.array([1.0, 0.0]), 2.0, 40)
     assert end == pytest.approx([np.cos(2.0), np.sin(2.0)], abs=1e-4)
 
 

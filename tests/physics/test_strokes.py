@@ -20,8 +20,7 @@ TIME_S = np.arange(0, 3001) * 1e-4
 
 @pytest.mark.parametrize("name", sorted(ALL))
 def test_energy_and_gas_are_balanced(name: str) -> None:
-    stroke = simulate(NOMINAL, conditions_of(ALL[name]), TIME_S, internal=False)
-    balance = stroke.balance
+    balance = simulate(NOMINAL, conditions_of(ALL[name]), TIME_S, internal=False).balance
     assert balance.energy_scale_j > 1.0
     assert abs(balance.energy_residual_j) < 2e-6 * balance.energy_scale_j
     assert max(abs(r) for r in balance.gas_residual_j) < 2e-6 * balance.gas_scale_j
@@ -33,8 +32,7 @@ def test_energy_and_gas_are_balanced(name: str) -> None:
 
 
 def test_every_kind_and_load_is_there() -> None:
-    kinds = {case.kind for case in ALL.values()}
-    assert kinds == {"fixed", "N-B", "B-N", "N-F", "F-N"}
+    assert {case.kind for case in ALL.values()} == {"fixed", "N-B", "B-N", "N-F", "F-N"}
     assert any(case.spring_n_per_m for case in ALL.values())
     assert {case.damper for case in ALL.values()} == {None, "compressible", "incompressible"}
     assert any(case.sync_impulse_n_s and case.mesh_force_n for case in ALL.values())
@@ -244,10 +242,8 @@ def test_reported_position_lags_the_true_one() -> None:
 
 
 def test_walk_of_the_piston_is_not_observable() -> None:
-    conditions = StrokeConditions("N-B", 9e5, ((0.01, "B", 0.98),))
-    stroke = simulate(NOMINAL, conditions, TIME_S)
-    walk = next(e.time_s for e in stroke.events if e.name == "collar 1 contact")
-    still = walk > TIME_S
+    stroke = simulate(NOMINAL, StrokeConditions("N-B", 9e5, ((0.01, "B", 0.98),)), TIME_S)
+    still = next(e.time_s for e in stroke.events if e.name == "collar 1 contact") > TIME_S
     assert np.abs(stroke.position_m[still]).max() < 1e-12
     assert np.ptp(stroke.states[still, LengthState.x_1]) > 0.0129 - 0.0005
     assert np.ptp(stroke.pressure_pa("B")[still]) > 3e4
@@ -255,8 +251,7 @@ def test_walk_of_the_piston_is_not_observable() -> None:
 
 @pytest.mark.parametrize("model", ["compressible", "incompressible"])
 def test_oil_pressure_by_the_model_that_ran(model: str) -> None:
-    conditions = replace(FIXED, load="damper", damper_model=model)
-    stroke = simulate(NOMINAL, conditions, TIME_S)
+    stroke = simulate(NOMINAL, replace(FIXED, load="damper", damper_model=model), TIME_S)
     oil = stroke.pressure_pa("oil2")
     assert oil[0] == 101325.0
     assert 5e5 < oil.max() < 5e6
@@ -300,8 +295,7 @@ def test_start_outside_the_stroke_is_refused(offset: float) -> None:
 def test_start_measured_a_hair_outside_the_stroke_is_on_the_stop(
     offset: float, stop: float
 ) -> None:
-    stroke = simulate(NOMINAL, replace(FIXED, start_offset_m=offset), TIME_S)
-    assert stroke.position_m[0] == stop
+    assert simulate(NOMINAL, replace(FIXED, start_offset_m=offset), TIME_S).position_m[0] == stop
 
 
 @pytest.mark.parametrize("kind", ["N-B", "B-N", "N-F", "F-N"])

@@ -93,8 +93,7 @@ def test_the_least_constant_force_that_passes_the_teeth_from_the_block(
     start = {**walked(side), LengthState.x_s: side * X_BLOCK, LengthState.v_s: side * 1e-4}
     rig = Bare(LENGTH, {**FREE, **changes}, start)
     rig.advance(400 * MS)
-    names = rig.names()
-    assert ("stop" in names) == passes
+    assert ("stop" in rig.names()) == passes
     if passes:
         energy_j = share * least * 200.0 * (STROKE - X_BLOCK) - 200.0 * W_MESH
         stop = next(event for event in rig.events if event.name == "stop")
@@ -134,8 +133,7 @@ def test_the_stroke_is_held_until_the_quadrature_of_its_driving_force_reaches_th
     whole = simulate(NOMINAL, conditions, np.array([0.0, 0.2]), internal=False)
     named = {event.name: event.time_s for event in whole.events}
     held = np.linspace(named["block"], named["unblock"], 4001)
-    grid = np.concatenate([[0.0], held])
-    stroke = simulate(NOMINAL, conditions, grid, internal=False)
+    stroke = simulate(NOMINAL, conditions, np.concatenate([[0.0], held]), internal=False)
     y, p = stroke.states[1:-1], stroke.packed
     assert y[:, LengthState.x_s] == pytest.approx(X_BLOCK, abs=1e-9)
     pressed = np.abs(y[:, LengthState.x_1] - y[:, LengthState.x_s] - p.x_free) < 1e-9

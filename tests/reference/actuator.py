@@ -303,10 +303,7 @@ class Actuator:
         return True
 
     def breaks(self, y: State, group: list[int], d: int) -> bool:
-        """True if a group at rest breaks away towards d, by itself or together with its neighbours.
-
-        Once together in motion all slide; a contact that would then pull parts at once.
-        """
+        """True if a group at rest breaks away towards d, alone or with its neighbours; what would then pull parts at once."""
         drive = self.drives(y)
         near = [
             c.piston

@@ -1,7 +1,4 @@
-"""What the instruments make of a true stroke: recorder, gauges, the control unit's position.
-
-For the hidden-effect study; the filter is scipy's, the chain is written from its description.
-"""
+"""What the instruments make of a true stroke, by the chain's description: recorder, gauges, position (scipy's filter)."""
 
 from __future__ import annotations
 

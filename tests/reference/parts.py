@@ -76,10 +76,7 @@ class Flow:
 def theoretical_flow(
     upstream: float, downstream: float, area: float, c_d: float, t: float, gamma: float, r: float
 ) -> float:
-    """T m_dot by 3.12-3.20 with the density factor outside the root [K kg/s].
-
-    Step by step as printed: Mach number, temperature and density in the valve.
-    """
+    """T m_dot by 3.12-3.20, step by step as printed, with the density factor outside the root [K kg/s]."""
     critical = ((gamma + 1.0) / 2.0) ** (-gamma / (gamma - 1.0))
     if downstream / upstream <= critical:
         choked = gamma / (r * t) * (2.0 / (gamma + 1.0)) ** ((gamma + 1.0) / (gamma - 1.0))
@@ -132,10 +129,7 @@ def oil_pressure(distance: float, speed: float, values: Values) -> float:
 
 
 def oil_rate(distance: float, speed: float, over: float, values: Values) -> float:
-    """Rate of the compressible pressure over chamber one, 3.31 [Pa/s]; never suction.
-
-    The root's infinite slope at zero is rounded off within a few Pa (some mN of force).
-    """
+    """Rate of the compressible pressure over chamber one, 3.31 [Pa/s]; no suction; the root rounded off within a few Pa."""
     a_oil = values["damper.A_oil"]
     flow = 0.0
     if over > 0.0:

@@ -124,10 +124,7 @@ class _Bus:
 
 @dataclass(frozen=True)
 class Pushed:
-    """One shift of a drive: its kind, such as N-B, the impulse of its cone, and its times.
-
-    begin_s: the command reaches the valve; off_s: the tick of the command that ends it.
-    """
+    """One shift: its kind, such as N-B, impulse of its cone; begin_s: command at the valve; off_s: the tick that ends it."""
 
     kind: str
     impulse_n_s: float
@@ -138,10 +135,7 @@ class Pushed:
 
 @dataclass(frozen=True)
 class Drive:
-    """Motion and commands of a whole drive.
-
-    time_s, position_m, difference_rad_s: [n]. commands: (tick s, chamber or -1).
-    """
+    """Motion of a drive, time_s, position_m, difference_rad_s [n], and its commands: (tick s, chamber or -1)."""
 
     time_s: np.ndarray
     position_m: np.ndarray
@@ -153,10 +147,7 @@ class Drive:
 def moved(
     truck: Truck, kind: str, impulse: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times from the first command on, positions, and impulse spent of one shift.
-
-    Raises StalledError if it does not arrive.
-    """
+    """Times from the first command on, positions, and impulse spent of one shift; StalledError if it does not arrive."""
     v = parts.nominal(truck.values)
     own = dict(truck.change)
     own["friction"] *= 1.0 + v["repeatability.friction_sd"] * rng.normal()
@@ -192,10 +183,7 @@ def moved(
 
 
 def drive(truck: Truck, shifts: int, rng: np.random.Generator) -> Drive:
-    """Drive so many shifts: each pushed until three pulses show its gear, then blown.
-
-    Raises StalledError if a shift does not arrive.
-    """
+    """Shifts one by one: pushed until three pulses show the gear, then blown; StalledError if one does not arrive."""
     times, positions, differences = [np.array([0.0])], [np.array([0.0])], [np.array([0.0])]
     commands: list[tuple[float, int]] = []
     pushed: list[Pushed] = []

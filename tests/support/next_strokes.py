@@ -1,7 +1,4 @@
-"""What the strokes that `opc4 diagnose --next` proposes are worth, against repeats and random strokes.
-
-Four strokes of one kind with one hidden cause; where it is not named alone, as many are "measured" again.
-"""
+"""Worth of strokes that `opc4 diagnose --next` proposes, against repeats and random ones: four and four, one hidden cause."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Frames a second read and replayed, beside python-can's reader and a pass-through over its virtual bus.
-
-The log is that of a made run that shifts twice a second; memory is a process's peak (VmHWM), of two lengths.
-"""
+"""Frames a second read and replayed, beside python-can's reader and virtual bus; memory: a process's peak (VmHWM)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Drawn cylinders by a simulator of their own: it shares no equation with the plant.
-
-Its walls have a time constant, its flow is Saint-Venant's between b and 1, sliding is smoothed; Heun, 5 us.
-"""
+"""Drawn cylinders, no equation shared with the plant: lagging walls, Saint-Venant flow, smoothed sliding; Heun, 5 us."""
 
 from __future__ import annotations
 

@@ -119,10 +119,7 @@ def repeats(first: Arrival, second: Arrival) -> bool:
 
 
 def require_part(part: Frames, whole: Frames) -> None:
-    """Require that candump recorded all frames of the run and no others between them.
-
-    Two nodes that send at the same instant may reach two readers in either order.
-    """
+    """All frames of the run and no others between them; of two nodes that send at one instant, either may be first."""
     data, all_data = by_identifier(part), by_identifier(whole)
     assert len(data) > 4
     for can_id, sent in data.items():

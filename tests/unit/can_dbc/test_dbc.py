@@ -57,8 +57,7 @@ def test_a_file_is_read_as_cantools_reads_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
 def test_encodings(encoding: str) -> None:
-    text = GOOD.replace("Spinning", "Raddrehzahl für °C")
-    database = parse_dbc(text.encode(encoding))
+    database = parse_dbc(GOOD.replace("Spinning", "Raddrehzahl für °C").encode(encoding))
     comment = database.get_message_by_name("Speeds").get_signal_by_name("Left").comment
     assert comment.startswith("Raddrehzahl für °C")
 
@@ -160,8 +159,7 @@ def test_quoted_powers_of_ten_with_a_use_are_numbers(number: str) -> None:
 def test_texts_that_look_like_powers_of_ten_are_texts() -> None:
     part_number = 'BA_DEF_ "Part" STRING ;\nBA_DEF_DEF_ "Part" "";\nBA_ "Part" "12E3456789";\n'
     text = GOOD.replace("VAL_", part_number + "VAL_").replace('"Spinning', '"9e9999999"; CM_ "')
-    database = parse_dbc(text.encode())
-    assert database.dbc.attributes["Part"].value == "12E3456789"
+    assert parse_dbc(text.encode()).dbc.attributes["Part"].value == "12E3456789"
 
 
 def test_comments_and_escaped_quotes_hide_nothing() -> None:

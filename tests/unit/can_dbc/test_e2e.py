@@ -74,8 +74,7 @@ def test_status_of_each_arrival(arrivals: list[int | str | None], statuses: list
 
 
 def test_sync_lasts_as_long_as_configured() -> None:
-    twice = replace(LENIENT, sync_counter_init=2)
-    got, _, _ = run([0, 1, 9, 10, 11, 12], twice)
+    got, _, _ = run([0, 1, 9, 10, 11, 12], replace(LENIENT, sync_counter_init=2))
     assert got == [S.INITIAL, S.OK, S.WRONG_SEQUENCE, S.SYNC, S.SYNC, S.OK]
     never = replace(LENIENT, sync_counter_init=0)
     got, _, _ = run([0, 1, 9, 10, 11, 12, 13, 14], never)
@@ -93,8 +92,7 @@ def test_accepted_step_never_grows_beyond_the_counter() -> None:
 
 
 def test_repetitions_are_counted_up_to_the_largest_counter() -> None:
-    tolerant = replace(LENIENT, max_no_new_or_repeated=15)
-    got, _, _ = run([0, 1, *[1] * 40, 2], tolerant)
+    got, _, _ = run([0, 1, *[1] * 40, 2], replace(LENIENT, max_no_new_or_repeated=15))
     assert got[-1] is S.OK
 
 
@@ -128,8 +126,7 @@ def test_limits_of_the_states_are_their_own() -> None:
     assert states == [V.INIT, V.INIT, V.INIT, V.VALID]
     _, states, _ = run([0, "x"], slow_start)
     assert states == [V.INIT, V.INVALID]
-    strict = replace(LENIENT, max_error_state_valid=0)
-    _, states, _ = run([0, 1, "x"], strict)
+    _, states, _ = run([0, 1, "x"], replace(LENIENT, max_error_state_valid=0))
     assert states == [V.INIT, V.VALID, V.INVALID]
     demanding = replace(LENIENT, min_ok_state_init=2, min_ok_state_valid=2)
     _, states, _ = run([0, 1, 2, 2, 2], demanding)

@@ -195,8 +195,7 @@ def test_one_line_for_what_is_wrong(raw: Any, message: str) -> None:
 def test_a_file_becomes_a_record(tmp_path: Path) -> None:
     path = tmp_path / "file.toml"
     path.write_text("\ufeffname = 'a'\npair = [1, 'x']\n[[fault]]\nkind = 'loss'\nat_s = 0\n")
-    converted = convert(read_toml(path), File, str(path))
-    assert converted == File("a", [Loss(0.0)], pair=(1.0, "x"))
+    assert convert(read_toml(path), File, str(path)) == File("a", [Loss(0.0)], pair=(1.0, "x"))
 
 
 @pytest.mark.parametrize(

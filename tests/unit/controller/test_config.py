@@ -68,8 +68,7 @@ def test_whole_table() -> None:
 
 @pytest.mark.parametrize("enabled", [True, False])
 def test_filter_as_a_switch(enabled: bool) -> None:
-    config = load_config({"filter": enabled}, "s.toml")
-    assert config.filter == FilterConfig(enabled=enabled)
+    assert load_config({"filter": enabled}, "s.toml").filter == FilterConfig(enabled=enabled)
 
 
 def bounds(kind: type[msgspec.Struct]) -> list[tuple[str, Any]]:
@@ -313,8 +312,7 @@ def members() -> list[str]:
     ],
 )  # fmt: skip
 def test_a_setting_changes_its_own_bytes_alone(table: dict, member: str, value: float) -> None:
-    config = load_config(table, "test")
-    before, after = content(FirmwareConfig()), content(config)
+    before, after = content(FirmwareConfig()), content(load_config(table, "test"))
     assert len(after) == 8 * len(members())
     changed = {
         k for k in range(len(members())) if before[8 * k : 8 * k + 8] != after[8 * k : 8 * k + 8]

@@ -57,8 +57,7 @@ def test_same_poles_and_zeros_as_scipy(order: int) -> None:
     ours = signal.sos2tf(rows)
     reference = signal.butter(order, 22.0, fs=100.0)
     for mine, theirs in zip(ours, reference, strict=True):
-        trimmed = np.trim_zeros(mine, "b")
-        assert np.max(np.abs(trimmed - theirs)) < 1e-12
+        assert np.max(np.abs(np.trim_zeros(mine, "b") - theirs)) < 1e-12
 
 
 @given(order=st.integers(1, 8), fc_part=st.floats(0.01, 0.49), rate_hz=st.floats(10.0, 1000.0))

@@ -124,8 +124,7 @@ class TestShifts:
     def test_a_stay_held_short_of_its_end_is_not_confirmed(self) -> None:
         """Blocked at 10.5 mm: the filter overshoots into the window, the sample does not."""
         rig = shift(N, (100, B), stay=Stay(block_m=0.0105)).run(600)
-        estimates = [r.out.status.estimate_m for r in rig.rows]
-        assert max(estimates) > STROKE_M - 0.0015
+        assert max(r.out.status.estimate_m for r in rig.rows) > STROKE_M - 0.0015
         assert rig.states() == ["INIT", "IDLE", "PUSH"]
 
     def test_a_synchronizer_only_delays(self) -> None:
@@ -281,8 +280,7 @@ class TestBroadcast:
     def test_shaft_speeds(
         self, given: tuple[float, float], sent: tuple[float | None, float | None]
     ) -> None:
-        rig = shift(N, speeds=lambda now_ns: DrivelineSpeeds(*given)).run(50)
-        etc1 = rig.last.etc1
+        etc1 = shift(N, speeds=lambda now_ns: DrivelineSpeeds(*given)).run(50).last.etc1
         assert (etc1.input_shaft_rad_s, etc1.output_shaft_rad_s) == sent
 
     def test_without_speeds(self) -> None:
@@ -450,8 +448,7 @@ class TestStart:
             (2, (valid, none, valid), Fault.REQUEST_LOST),
             (3, (valid, valid, none), Fault.SPEEDS_LOST),
         ):
-            inputs = Inputs((), None, None, *states)
-            assert firmware.step(ms * MS, inputs).status.faults == fault
+            assert firmware.step(ms * MS, Inputs((), None, None, *states)).status.faults == fault
 
     def test_an_invalid_channel_has_no_grace_either(self) -> None:
         firmware = Firmware(FirmwareConfig())
@@ -460,8 +457,7 @@ class TestStart:
         assert out.status.faults == Fault.POSITION_LOST | Fault.REQUEST_LOST | Fault.SPEEDS_LOST
 
     def test_stale_messages_of_a_channel_that_is_not_valid_are_not_used(self) -> None:
-        rig = shift(N).run(200)
-        firmware = rig.firmware
+        firmware = shift(N).run(200).firmware
         for k in range(5):
             out = firmware.step(
                 (300 + k) * MS,

@@ -163,8 +163,7 @@ def test_a_piston_that_does_not_reach_the_stay_yet_moves_alone() -> None:
 
 def test_a_braked_piston_lets_the_stay_coast() -> None:
     """m_s v' = A_s (P_d - P_atm) - friction: the neutral chamber's pressure is not in it."""
-    settings = ModelSettings(stay_damping_n_s_m=0.0)
-    model = LightModel(settings, STROKE_M)
+    model = LightModel(ModelSettings(stay_damping_n_s_m=0.0), STROKE_M)
     motion = LightModelState(ATMOSPHERE_PA, ATMOSPHERE_PA)
     motion.stay_m, motion.piston_m = 0.001, 0.014
     motion.stay_m_s = motion.piston_m_s = 0.5
@@ -202,8 +201,7 @@ def test_an_open_loop_stroke_takes_as_long_as_the_laboratory_s() -> None:
 def test_observer_without_errors_is_the_model() -> None:
     """Measured exactly what the model's own past says: nothing is corrected."""
     config = FirmwareConfig(filter=FilterConfig(enabled=False))
-    age_s = 0.0045
-    observer = Observer(config, ModelSettings(), ObserverSettings(sensor_age_s=age_s))
+    observer = Observer(config, ModelSettings(), ObserverSettings(sensor_age_s=0.0045))
     free = Observer(
         config,
         ModelSettings(),
@@ -258,8 +256,7 @@ def test_observer_is_the_model_seen_through_delay_and_filter() -> None:
             now_s = step * STEP_S
             model.step(motion, driving.at(now_s), braking.at(now_s), STEP_S)
             positions_m.append(motion.stay_m)
-        measured_m = late.update(positions_m[-1 - round(0.00455 / STEP_S)])
-        observer.advance(tick * 0.01, measured_m, 1)
+        observer.advance(tick * 0.01, late.update(positions_m[-1 - round(0.00455 / STEP_S)]), 1)
         for name in LightModelState.__slots__:
             seen, true = getattr(observer.motion, name), getattr(motion, name)
             assert seen == pytest.approx(true, rel=1e-9, abs=1e-9), (tick, name)

@@ -151,8 +151,7 @@ def test_awake_and_a_request_is_obeyed() -> None:
 
 
 def test_speeds_reach_the_firmware() -> None:
-    bus = Bus().awake()
-    out = bus.node.outputs
+    out = Bus().awake().node.outputs
     assert (out.etc1.input_shaft_rad_s, out.etc1.output_shaft_rad_s) == (10.0, 10.0)
 
 
@@ -172,11 +171,9 @@ def test_every_pulse_between_two_ticks_reaches_the_firmware_once() -> None:
     bus = Bus()
     bus.node.firmware = recorder = Recorder(FirmwareConfig())
     bus.awake()
-    places = [0.0001, 0.0002, 0.0003]
-    frames = [bus.pulse(x) for x in places]
+    frames = [bus.pulse(x) for x in (0.0001, 0.0002, 0.0003)]
     bus.tick(*frames)
-    count = bus.node.pulses.counts
-    assert count[E2eStatus.OK] == 19 + 3
+    assert bus.node.pulses.counts[E2eStatus.OK] == 19 + 3
     bus.tick()
     assert recorder.steps[-1].pulses == ()
     indices = [pulse.sample_index for step in recorder.steps for pulse in step.pulses]

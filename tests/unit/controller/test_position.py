@@ -101,8 +101,7 @@ class TestPlausibility:
         for _ in range(50):
             assert not p.follows(0.03, 1)
         # saturates at 20 + 12.85 mm, so 13 samples of 1 mm bring it below 20 mm
-        verdicts = [p.follows(0.0, 1) for _ in range(14)]
-        assert verdicts == [False] * 12 + [True] * 2
+        assert [p.follows(0.0, 1) for _ in range(14)] == [False] * 12 + [True] * 2
 
     def test_restart_forgets_the_travel(self) -> None:
         p = self.make(travel_limit_m=0.02)
@@ -243,12 +242,10 @@ class TestEstimator:
     @pytest.mark.parametrize("per_step", [1, 4])
     def test_same_as_scipy_whether_one_or_four_samples_a_step(self, per_step: int) -> None:
         config = FirmwareConfig(sensor=SensorConfig(period_s=0.0025))
-        rng = np.random.default_rng(1)
-        steps_m = 0.0003 * rng.standard_normal(200) * np.hanning(200)
+        steps_m = 0.0003 * np.random.default_rng(1).standard_normal(200) * np.hanning(200)
         positions_m = np.clip(np.cumsum(steps_m), -0.012, 0.012)
         positions_m[0] = 0.0
-        sections = signal.butter(6, 22.0, fs=400.0, output="sos")
-        reference = signal.sosfilt(sections, positions_m)
+        reference = signal.sosfilt(signal.butter(6, 22.0, fs=400.0, output="sos"), positions_m)
         estimator = PositionEstimator(config)
         got: list[Sample] = []
         train = pulses(positions_m.tolist())
@@ -264,8 +261,7 @@ class TestEstimator:
         assert np.max(np.abs(slope - [s.velocity_m_s for s in got])) < 1e-8
 
     def test_without_filter_the_estimate_is_the_sample(self) -> None:
-        estimator = PositionEstimator(unfiltered())
-        estimate = feed(estimator, [0.0, 0.001, 0.004])
+        estimate = feed(PositionEstimator(unfiltered()), [0.0, 0.001, 0.004])
         assert estimate.position_m == estimate.raw_m == pytest.approx(0.004)
         assert estimate.velocity_m_s == pytest.approx(0.3)
 
@@ -302,8 +298,7 @@ class TestEstimator:
         wraps, plain = PositionEstimator(FirmwareConfig()), PositionEstimator(FirmwareConfig())
         for i in range(20):
             a = wraps.update([exact(0.0005 * i, 250 + i)], False)
-            b = plain.update([exact(0.0005 * i, i)], False)
-            assert a == b
+            assert a == plain.update([exact(0.0005 * i, i)], False)
         tight = PositionEstimator(unfiltered(max_speed_m_s=1.0))
         feed(tight, [0.0], 255)
         assert tight.update([exact(0.0105, 256)], False).samples == ()
@@ -349,8 +344,7 @@ class TestEstimator:
         clean = PositionEstimator(FirmwareConfig())
         for i in range(10):
             pulse = exact(0.0005 * i, i)
-            spike = PositionPulse(0.004, T_K, i)
-            got = estimator.update([spike if i == 5 else pulse], False)
+            got = estimator.update([PositionPulse(0.004, T_K, i) if i == 5 else pulse], False)
             want = clean.update([pulse], False)
             assert got.valid
             if i == 5:
@@ -407,8 +401,7 @@ class TestEstimator:
             estimator = PositionEstimator(FirmwareConfig(sensor=SensorConfig(period_s=period_s)))
             samples = 0
             while not estimator.implausible:
-                position_m = float(rng.uniform(-0.01285, 0.01285))
-                estimator.update([exact(position_m, samples)], False)
+                estimator.update([exact(float(rng.uniform(-0.01285, 0.01285)), samples)], False)
                 samples += 1
                 assert samples * period_s < 0.4
             times_s.append(samples * period_s)
@@ -421,8 +414,7 @@ class TestEstimator:
         estimator = PositionEstimator(FirmwareConfig(sensor=SensorConfig(period_s=period_s)))
         ends = [0.0, 0.01285, 0.0, -0.01285]
         for i in range(round(4.0 / period_s)):
-            t_s = i * period_s
-            leg, inside_s = divmod(t_s, 0.1)
+            leg, inside_s = divmod(i * period_s, 0.1)
             start, end = ends[int(leg) % 4], ends[(int(leg) + 1) % 4]
             x_m = start + (end - start) * min(1.0, inside_s / 0.015) ** 2
             tick_m = float(rng.integers(-1, 2)) * 4.5e-5

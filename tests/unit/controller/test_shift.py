@@ -137,8 +137,7 @@ class TestPush:
         assert not bench.machine.driving
 
     def test_confirmed_at_once_when_one_sample_is_enough(self) -> None:
-        bench = Bench(N, windows=WindowConfig(samples=1)).pushing(B)
-        assert bench.step(gear=B, run=1) is S.BLOW
+        assert Bench(N, windows=WindowConfig(samples=1)).pushing(B).step(gear=B, run=1) is S.BLOW
 
     def test_back_to_push_when_it_leaves_the_window(self) -> None:
         bench = Bench(N).pushing(B)
@@ -185,8 +184,7 @@ class TestPush:
         assert bench.step() is S.PUSH
 
     def test_no_motion_needed_where_it_shall_be(self) -> None:
-        config = ShiftConfig(reversal_settle_s=1.0, no_motion_s=0.05)
-        bench = Bench(N, shift=config).pushing(B)
+        bench = Bench(N, shift=ShiftConfig(reversal_settle_s=1.0, no_motion_s=0.05)).pushing(B)
         bench.step(requested=N, moved=False)
         bench.stays(S.CONFIRM, 80)
 
@@ -539,16 +537,14 @@ class TestWaiting:
         assert self.waiting().until(S.PUSH) == 1000
 
     def test_not_without_speeds(self) -> None:
-        bench = self.waiting()
-        assert bench.step(synchronized=None) is S.PUSH
+        assert self.waiting().step(synchronized=None) is S.PUSH
 
     def test_not_on_the_way_to_neutral(self) -> None:
         bench = Bench(B, shift=ShiftConfig(wait_for_sync=True)).idle()
         assert bench.step(requested=N, synchronized=False) is S.PUSH
 
     def test_only_when_configured(self) -> None:
-        bench = Bench(N).idle()
-        assert bench.step(requested=B, synchronized=False) is S.PUSH
+        assert Bench(N).idle().step(requested=B, synchronized=False) is S.PUSH
 
     def test_after_the_blow_on_neutral(self) -> None:
         bench = Bench(F, shift=ShiftConfig(wait_for_sync=True)).pushing(B)

@@ -104,8 +104,7 @@ def test_it_brakes_with_neutral_and_pushes_again_when_patience_ends(
 ) -> None:
     strategy = new_strategy(name, patience_s=0.1)
     near_and_fast = seen(sign * 0.011, sign * 2.0)
-    braking = strategy.command(50 * MS, near_and_fast, push(leg))
-    assert braking.n == 0.98
+    assert strategy.command(50 * MS, near_and_fast, push(leg)).n == 0.98
     after = strategy.command(100 * MS, near_and_fast, push(leg))
     assert after == (Duties(0.98, 0.0, 0.0) if sign > 0 else Duties(0.0, 0.0, 0.98))
 
@@ -282,8 +281,7 @@ def test_what_a_braking_strategy_is_given_to_decide_on(
         return Command(True, True)
 
     monkeypatch.setattr(strategy, "decide", decide)
-    samples = (Sample(0.0, 0.0, 0.0),) * 2
-    late = Estimate(True, 0.5, sign * 0.003, sign * 0.75, samples)
+    late = Estimate(True, 0.5, sign * 0.003, sign * 0.75, (Sample(0.0, 0.0, 0.0),) * 2)
     into = push(leg)._replace(start_ns=100 * MS, apart_rad_s=-7.5, apart_ns=70 * MS)
     both = Duties(0.98, 0.98, 0.0) if sign > 0 else Duties(0.0, 0.98, 0.98)
     assert strategy.command(130 * MS, late, into) == both

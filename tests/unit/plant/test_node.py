@@ -143,8 +143,7 @@ def test_shift_by_frames_is_the_reference_stroke(lab: Run) -> None:
 def test_pieces_give_the_motion_of_one_call(lab: Run) -> None:
     whole = LengthStroke(NOMINAL)
     instants = np.arange(0, 400 * MS + 1, MS)
-    switches = [(48_400_000, 0, 1.0), (275_400_000, 0, 0.0)]
-    states = whole.advance(400 * MS, switches, instants)
+    states = whole.advance(400 * MS, [(48_400_000, 0, 1.0), (275_400_000, 0, 0.0)], instants)
     columns = [whole.columns.index(c) for c in ("position_m", "pressure_B_pa", "pressure_N_pa")]
     np.testing.assert_allclose(lab.rows["position_m"], states[:, columns[0]], atol=1e-9)
     np.testing.assert_allclose(lab.rows["pressure_B_pa"], states[:, columns[1]], atol=0.5)
@@ -164,8 +163,7 @@ def test_all_four_shifts(initial: str, command: ValveCommand, end_m: float) -> N
 
 def test_frames_leave_on_a_static_schedule(lab: Run) -> None:
     for message_type in (PositionPulse, DrivelineSpeeds, PlantMotion, PlantPressures):
-        times = [t for t, _ in lab.of(message_type)]
-        assert times == list(range(6_500_000, 400 * MS, 10 * MS))
+        assert [t for t, _ in lab.of(message_type)] == list(range(6_500_000, 400 * MS, 10 * MS))
     config = PlantConfig(
         sensor=SensorConfig(period_s=0.0025, phase_s=0.001),
         speeds_period_s=0.005,
@@ -225,8 +223,7 @@ def test_sensor_delay_moves_the_frames_and_not_the_measurement() -> None:
 def test_truth_frames_tell_the_state_at_their_release(lab: Run) -> None:
     stroke = LengthStroke(NOMINAL)
     times = np.array([t for t, _ in lab.of(PlantMotion)])
-    switches = [(48_400_000, 0, 1.0), (275_400_000, 0, 0.0)]
-    states = stroke.advance(400 * MS, switches, times)
+    states = stroke.advance(400 * MS, [(48_400_000, 0, 1.0), (275_400_000, 0, 0.0)], times)
     for row, (_, motion), (_, pressures) in zip(
         states, lab.of(PlantMotion), lab.of(PlantPressures), strict=True
     ):
@@ -302,8 +299,7 @@ def test_synchronizer_blocks_until_the_shafts_agree() -> None:
     assert during == sorted(during, reverse=True)
     assert 0.0 < during[-1] < during[0] < 6.0
     assert difference[released // 10 * 10 + 6] == 0.0
-    after = [d for t, d in difference.items() if t > 340]
-    assert max(after) == pytest.approx(30.0, abs=0.01)
+    assert max(d for t, d in difference.items() if t > 340) == pytest.approx(30.0, abs=0.01)
     assert run.node.stroke.position_m == pytest.approx(0.0, abs=1e-9)
 
 
@@ -320,16 +316,14 @@ def test_stated_impulse_of_the_gear_that_is_asked_for() -> None:
 
 
 def test_lab_rig_has_no_synchronizer() -> None:
-    config = PlantConfig(driveline=DrivelineConfig(residual_rad_s=6.0))
-    run = Run(config, SHIFT_TO_B, 120)
+    run = Run(PlantConfig(driveline=DrivelineConfig(residual_rad_s=6.0)), SHIFT_TO_B, 120)
     assert run.named("sync_block") == []
     assert run.node.stroke.position_m == pytest.approx(0.01285)
 
 
 @pytest.mark.parametrize("damper", ["incompressible", "compressible"])
 def test_oil_pressure_is_recorded(damper: str) -> None:
-    config = msgspec.structs.replace(PlantConfig(), damper=damper)
-    run = Run(config, SHIFT_TO_B, 160)
+    run = Run(msgspec.structs.replace(PlantConfig(), damper=damper), SHIFT_TO_B, 160)
     oil = run.rows["pressure_oil2_pa"]
     assert oil[0] == pytest.approx(101_325.0)
     assert 1e6 < oil.max() < 5e6
@@ -339,8 +333,7 @@ def test_oil_pressure_is_recorded(damper: str) -> None:
 
 def test_trace_rows_are_regular_and_show_what_changed_at_their_instant(lab: Run) -> None:
     np.testing.assert_array_equal(lab.rows["time_s"], np.arange(401) / 1000)
-    config = PlantConfig(trace_period_s=0.0001)
-    rows = Run(config, SHIFT_TO_B, 300).rows
+    rows = Run(PlantConfig(trace_period_s=0.0001), SHIFT_TO_B, 300).rows
     assert rows["cmd_B"][[403, 404, 2403, 2404]].tolist() == [
         0.0, pytest.approx(0.98, abs=1e-4), pytest.approx(0.98, abs=1e-4), 0.0,
     ]  # fmt: skip

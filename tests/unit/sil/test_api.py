@@ -69,8 +69,7 @@ def test_whatif_and_replay(tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "s.toml").write_text(
         'name = "s"\nscenario = "lab_n_b"\n[[sweep]]\npath = "valve.D_rise"\nvalues = [0.004, 0.008]\n'
     )
-    swept = api.whatif(tmp_path / "s.toml", out=tmp_path / "out")
-    times = swept.numbers["shift_time_s"]
+    times = api.whatif(tmp_path / "s.toml", out=tmp_path / "out").numbers["shift_time_s"]
     assert times[1] - times[0] == pytest.approx(0.004, abs=1e-6)
     with pytest.raises(InputError, match="model 'nominl': no such parameter set"):
         api.whatif(tmp_path / "s.toml", out=tmp_path / "none", model="nominl")

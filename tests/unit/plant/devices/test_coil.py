@@ -195,8 +195,7 @@ def test_noted_currents_do_not_change_the_motion() -> None:
         one.command(60 * MS + 123, 0.0)
         results.append((one.moves(150 * MS), one.state))
     assert results[0] == results[1]
-    instants = [at for at, _ in one.currents]
-    assert instants == list(range(0, 150 * MS + 1, 333_333))
+    assert [at for at, _ in one.currents] == list(range(0, 150 * MS + 1, 333_333))
     assert max(current for _, current in one.currents) > 0.7
 
 

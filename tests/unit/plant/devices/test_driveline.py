@@ -107,8 +107,7 @@ def test_stated_impulse_of_each_gear_and_the_difference_it_implies() -> None:
 def test_a_stay_pushed_back_from_the_block_needs_only_the_rest() -> None:
     config = DrivelineConfig(residual_rad_s=9.0, engine_delay_s=0.0, engine_ramp_rad_s2=1e-6)
     driveline = Driveline(config, X_BLOCK, 0.0)
-    impulse = driveline.advance(0, 0.0, 0.0, BACKWARD)
-    assert impulse == pytest.approx(25.0)
+    assert driveline.advance(0, 0.0, 0.0, BACKWARD) == pytest.approx(25.0)
     driveline.advance(10 * MS, X_BLOCK, 0.6 * 25.0, BACKWARD)
     assert driveline.advance(20 * MS, 0.0, 0.6 * 25.0, BACKWARD) == pytest.approx(10.0)
     assert driveline.input_rad_s - 80.0 == pytest.approx(3.6)

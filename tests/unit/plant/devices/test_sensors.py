@@ -61,8 +61,7 @@ def test_conversion_undoes_the_pulse_within_half_a_tick(
 
 
 def test_a_coil_warmer_than_believed_reads_further_out() -> None:
-    pulse = SENSOR.duration_s(0.005, 303.15)
-    error = float(SENSOR.position_m(pulse, 293.15)) - 0.005
+    error = float(SENSOR.position_m(SENSOR.duration_s(0.005, 303.15), 293.15)) - 0.005
     assert error == pytest.approx(0.0012 * 10 * (0.0009 + 0.022 * 0.005) / 0.022)
 
 
@@ -75,13 +74,11 @@ def test_a_pulse_and_its_discharge_fit_into_2_to_3_ms() -> None:
     ("order", "cutoff"), [(1, 10.0), (2, 5.0), (3, 22.0), (6, 22.0), (8, 45.0)]
 )
 def test_sections_have_the_response_of_scipys_design(order: int, cutoff: float) -> None:
-    sections = butterworth_sections(order, cutoff, 100.0)
-    ours = np.insert(sections, 3, 1.0, axis=1)
+    ours = np.insert(butterworth_sections(order, cutoff, 100.0), 3, 1.0, axis=1)
     w, expected = signal.sosfreqz(signal.butter(order, cutoff, fs=100.0, output="sos"), 64, fs=100)
     _, got = signal.sosfreqz(ours, w, fs=100.0)
     np.testing.assert_allclose(got, expected, atol=1e-12)
-    at_cutoff = signal.sosfreqz(ours, [cutoff], fs=100.0)[1]
-    assert abs(at_cutoff[0]) == pytest.approx(np.sqrt(0.5))
+    assert abs(signal.sosfreqz(ours, [cutoff], fs=100.0)[1][0]) == pytest.approx(np.sqrt(0.5))
 
 
 def test_filter_is_settled_at_its_first_sample() -> None:
@@ -175,8 +172,7 @@ def test_instants_of_the_chain() -> None:
 
 def test_values_change_on_the_raster_of_the_control_unit() -> None:
     time_s = np.arange(4000) * 1e-4
-    position = 0.0128 * np.clip((time_s - 0.05) / 0.2, 0.0, 1.0)
-    reported = reported_m(RAW, time_s, position, 0.0023)
+    reported = reported_m(RAW, time_s, 0.0128 * np.clip((time_s - 0.05) / 0.2, 0.0, 1.0), 0.0023)
     changes = time_s[1:][np.diff(reported) != 0]
     assert len(changes) > 15
     raster = (changes - 0.0023 - 0.005) % 0.01
@@ -194,8 +190,7 @@ def test_faults_of_the_chain_are_differences_between_sensor_and_calibration() ->
 
 
 def test_nominal_set_gives_this_chain() -> None:
-    chain = InternalChain.from_parameters(Nominal())
-    assert chain == CHAIN
+    assert InternalChain.from_parameters(Nominal()) == CHAIN
 
 
 def test_named_generators_are_reproducible_and_independent() -> None:
@@ -320,8 +315,7 @@ def pulses_with(*faults: SensorFault, count: int = 8) -> list[float | None]:
 
 
 def test_stuck_repeats_the_last_report_or_a_given_one() -> None:
-    reports = pulses_with(window("stuck"))
-    assert reports == [true_pulse(i) for i in (0, 1, 2, 2, 2, 2, 6, 7)]
+    assert pulses_with(window("stuck")) == [true_pulse(i) for i in (0, 1, 2, 2, 2, 2, 6, 7)]
     assert pulses_with(window("stuck", pulse_s=0.001))[2:7] == [
         true_pulse(2), 0.001, 0.001, 0.001, true_pulse(6),
     ]  # fmt: skip
@@ -379,5 +373,4 @@ def test_a_wrong_circuit_adds_its_offset() -> None:
 
 def test_a_delayed_circuit_gives_what_was() -> None:
     healthy = pulses_with()
-    reports = pulses_with(SensorFault(kind="delayed", late=3))
-    assert reports == [healthy[0]] * 3 + healthy[:5]
+    assert pulses_with(SensorFault(kind="delayed", late=3)) == [healthy[0]] * 3 + healthy[:5]

@@ -131,8 +131,7 @@ def test_a_run_moves_as_the_stroke_of_the_same_model() -> None:
 
 
 def test_valve_delays_reach_the_valves() -> None:
-    model = extended("valve_open_delay", delay_s=(0.004, "s"))
-    node = PlantNode(PlantConfig(), model)
+    node = PlantNode(PlantConfig(), extended("valve_open_delay", delay_s=(0.004, "s")))
     plain = PlantNode(PlantConfig(), load())
     late, prompt = (each.valve_group.valves[0].timing for each in (node, plain))
     assert late.rise_ns == prompt.rise_ns + 4_000_000 and late.fall_ns == prompt.fall_ns
@@ -199,8 +198,7 @@ def test_a_force_that_is_a_spring_moves_as_the_spring_of_the_equations(kind) -> 
     stroke, added = run_setup(one, TIME_S), run_setup(other, TIME_S)
     assert np.allclose(added.states, stroke.states, rtol=1e-6, atol=1e-8)
     assert added.balance.closed and np.ptp(added.position_m) > 0.003
-    nominal = run_setup(setup_of(kind), TIME_S)
-    assert np.abs(nominal.position_m - added.position_m).max() > 1e-4
+    assert np.abs(run_setup(setup_of(kind), TIME_S).position_m - added.position_m).max() > 1e-4
 
 
 @pytest.mark.parametrize(
@@ -227,8 +225,7 @@ def test_every_slot_changes_the_stroke_and_balances_close(kind, slot, function, 
 def test_a_batch_runs_strokes_with_and_without_terms() -> None:
     plain, changed = setup_of("N-B"), setup_of("N-B")
     SPRING.add_to(changed, rate_n_m=8000.0, x0_m=0.001)
-    strokes = Strokes.from_setups([plain, changed, plain], 0.25)
-    result = simulate_batch(strokes, sample_s=TIME_S)
+    result = simulate_batch(Strokes.from_setups([plain, changed, plain], 0.25), sample_s=TIME_S)
     assert result.in_lanes.tolist() == [True, False, True] and (result.status == DONE).all()
     alone = simulate_batch(Strokes.from_setups([plain], 0.25), sample_s=TIME_S)
     assert (result.samples[0] == alone.samples[0]).all()

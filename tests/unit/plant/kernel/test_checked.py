@@ -48,8 +48,7 @@ def test_checked_kernels_give_the_same_strokes() -> None:
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    checked = json.loads(done.stdout)
-    assert checked == states_of_short_strokes()
+    assert json.loads(done.stdout) == states_of_short_strokes()
 
 
 if __name__ == "__main__":

@@ -75,8 +75,7 @@ def test_an_unknown_flow_model_is_refused(tmp_path: Path) -> None:
 def test_a_file_that_is_no_plain_name_is_refused(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "wrong"
     folder.mkdir()
-    text = TEXT.replace("stroke_001.csv", name)
-    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    (folder / "campaign.toml").write_text(TEXT.replace("stroke_001.csv", name), encoding="utf-8")
     with pytest.raises(InputError, match="expected the name of a file next to"):
         load_campaign(str(folder))
 
@@ -150,6 +149,11 @@ def read_record(file: Path, columns: dict[str, ColumnMap] | None = None) -> Reco
     return read_as(file, Recorder(columns or {}))
 
 
+def record_of(folder: Path, content: str, columns: dict[str, ColumnMap] | None = None) -> Record:
+    (folder / "a.csv").write_text(content, encoding="utf-8")
+    return read_record(folder / "a.csv", columns)
+
+
 def text(delimiter: str, comma: bool, header: str, after: str = "", quote: str = "") -> str:
     rows = []
     for t, x in zip(TIME, POSITION, strict=True):
@@ -191,35 +195,28 @@ def test_dialects_are_found_and_stated(tmp_path: Path, content: str, dialect: st
 
 
 def test_a_table_without_header_has_numbered_columns(tmp_path: Path) -> None:
-    file = tmp_path / "a.csv"
-    file.write_text(text("\t", False, ""), encoding="utf-8")
-    record = read_record(file, {"time_s": ColumnMap("column_1", 1e-3)})
+    record = record_of(tmp_path, text("\t", False, ""), {"time_s": ColumnMap("column_1", 1e-3)})
     assert record["column_2"] == pytest.approx(1e3 * POSITION, abs=1e-6)
     assert "no header row" in record.dialect
 
 
 def test_time_stamps_are_seconds_and_dots_between_thousands_are_none(tmp_path: Path) -> None:
-    file = tmp_path / "a.csv"
     rows = [f"2024-03-01 12:00:0{t:.3f};-1.234.5{k:02d},25" for k, t in enumerate(TIME)]
     rows = [f"{row};{k}" for k, row in enumerate(rows)]
-    file.write_text("time_s;f;row\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    record = read_record(file)
+    record = record_of(tmp_path, "time_s;f;row\n" + "\n".join(rows) + "\n")
     assert "time_s in seconds from 2024-03-01 12:00:00.000" in record.dialect
     assert record.time_s == pytest.approx(TIME)
     assert record["f"] == pytest.approx(-1234500.25 - np.arange(40.0))
 
 
 def test_a_slower_channel_is_interpolated_and_a_hole_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "a.csv"
     rows = [f"{t:.3f},{2.0 * t if k % 3 == 0 else ''}" for k, t in enumerate(TIME)]
-    file.write_text("time_s,f\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    record = read_record(file)
+    record = record_of(tmp_path, "time_s,f\n" + "\n".join(rows) + "\n")
     assert "f interpolated from a slower rate" in record.dialect
     assert record["f"][:-1] == pytest.approx(2.0 * TIME[:-1])
     rows = [f"{t:.3f},{'' if k == 7 else t}" for k, t in enumerate(TIME)]
-    file.write_text("time_s,f\n" + "\n".join(rows) + "\n", encoding="utf-8")
     with pytest.raises(InputError, match="line 9: '' is not a number"):
-        read_record(file)
+        record_of(tmp_path, "time_s,f\n" + "\n".join(rows) + "\n")
 
 
 def test_columns_are_computed_from_others(tmp_path: Path) -> None:
@@ -367,9 +364,7 @@ def test_mf4_channels_of_several_rates(tmp_path: Path) -> None:
 def test_columns_with_text_take_no_rows_from_the_others(
     tmp_path: Path, content: str, left_out: str
 ) -> None:
-    file = tmp_path / "a.csv"
-    file.write_text(content, encoding="utf-8")
-    record = read_record(file, {"time_s": ColumnMap("t")})
+    record = record_of(tmp_path, content, {"time_s": ColumnMap("t")})
     assert set(record.columns) == {"t", "x", "time_s"} and f"left out: {left_out}" in record.dialect
     assert record.time_s == pytest.approx(0.1 * np.arange(5))
 
@@ -377,17 +372,15 @@ def test_columns_with_text_take_no_rows_from_the_others(
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("zone", ["", "Z", "+01:00"])
 def test_stamps_with_a_time_zone_are_read_without_a_warning(tmp_path: Path, zone: str) -> None:
-    file = tmp_path / "a.csv"
     rows = [f"2024-01-01T00:00:0{k}{zone},{k},1\n" for k in range(5)]
-    file.write_text("time_s,x,y\n" + "".join(rows), encoding="utf-8")
-    assert read_record(file).time_s == pytest.approx(np.arange(5.0))
+    assert record_of(tmp_path, "time_s,x,y\n" + "".join(rows)).time_s == pytest.approx(
+        np.arange(5.0)
+    )
 
 
 def test_blank_lines_are_no_samples(tmp_path: Path) -> None:
-    file = tmp_path / "a.csv"
-    file.write_text("time_s,x\n0,1\n\n\n", encoding="utf-8")
     with pytest.raises(InputError, match="1 sample; expected at least 2"):
-        read_record(file)
+        record_of(tmp_path, "time_s,x\n0,1\n\n\n")
 
 
 def test_lines_without_a_quote_are_not_parsed_as_quoted(

@@ -39,8 +39,7 @@ HEAVY = (
 def printed(program: str) -> str:
     """What a Python program of its own process prints."""
     command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    return done.stdout
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
 
 
 def test_help_lists_every_command_and_imports_nothing_heavy() -> None:
@@ -245,8 +244,7 @@ def test_a_path_that_cannot_exist_is_bad_input(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
-    words = [command, name, "out.log"] if command == "convert" else [command, name]
-    assert cli.main(words) == 2
+    assert cli.main([command, name, "out.log"] if command == "convert" else [command, name]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"opc4 {command}: ") and "expected" in line
     assert {path.name for path in tmp_path.iterdir()} == {"loop"}

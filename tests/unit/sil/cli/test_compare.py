@@ -17,15 +17,13 @@ from sil.simulation.kept_run import COLUMNS, read_run
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     outputs = tmp_path_factory.mktemp("runs")
     for name, extra in (("a", []), ("b", []), ("late", ["--set", "valve.D_rise=12ms"])):
-        words = ["run", "lab_n_b", *extra, "--no-report", "--out", str(outputs / name)]
-        assert main(words) == 0
+        assert main(["run", "lab_n_b", *extra, "--no-report", "--out", str(outputs / name)]) == 0
     return outputs
 
 
 def compared(capsys: pytest.CaptureFixture[str], *words: Path | str) -> tuple[int, dict[str, Any]]:
     capsys.readouterr()
-    code = main(["compare", *map(str, words), "--json"])
-    return code, json.loads(capsys.readouterr().out)
+    return main(["compare", *map(str, words), "--json"]), json.loads(capsys.readouterr().out)
 
 
 def test_a_later_valve_moves_events_and_metrics_by_its_delay(
@@ -57,8 +55,7 @@ def test_exact_tells_equal_traces_from_others(
 
 
 def test_traces_are_aligned_at_the_request(folder: Path) -> None:
-    runs = [read_run(folder / name, name) for name in ("a", "late")]
-    (stack,) = compare_figure(runs).stacks
+    (stack,) = compare_figure([read_run(folder / name, name) for name in ("a", "late")]).stacks
     named = [series for series in stack.panels[0].series if series.label]
     assert [series.label for series in named] == ["a", "late"]
     reached_ms = [float(series.x[series.y > 12.8][0]) for series in named]

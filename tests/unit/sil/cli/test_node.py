@@ -15,8 +15,7 @@ pytestmark = pytest.mark.usefixtures("runtime_folder")
 
 
 def test_a_node_says_at_once_what_it_waits_for(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["node", "controller", "--channel", "local:nobody", "--timeout", "0.1"]
-    assert cli.main(command) == 3
+    assert cli.main(["node", "controller", "--channel", "local:nobody", "--timeout", "0.1"]) == 3
     assert capsys.readouterr().err.splitlines() == [
         "opc4 node: waiting up to 0.1 s for a run on local:nobody",
         "opc4 node: no run on local:nobody within 0.1 s",

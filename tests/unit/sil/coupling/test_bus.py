@@ -189,8 +189,7 @@ def test_statistics_and_load() -> None:
     bus.queue(0, USUAL, "a")
     bus.queue(0, SLACK, "b")
     bus.queue(400_000_000, USUAL, "a")
-    half_ns = duration_ns(USUAL) // 2
-    bus.advance(half_ns)
+    bus.advance(duration_ns(USUAL) // 2)
     assert bus.load == 1.0
     bus.advance(1_000_000_000)
     one = duration_ns(USUAL) + GAP
@@ -285,8 +284,7 @@ def test_frames_of_a_bus_off_sender_are_dropped() -> None:
     bus.queue(1_500_000, Frame(0x101, b"off"), "a")
     bus.queue(2_000_000, Frame(0x102, b"back"), "a")
     bus.queue(1_500_000, Frame(0x200, b"other"), "b")
-    arrived = bus.advance(10**9)
-    assert [d.frame.data for d in arrived[5:]] == [b"other", b"back"]
+    assert [d.frame.data for d in bus.advance(10**9)[5:]] == [b"other", b"back"]
     assert bus.statistics.dropped_bus_off == 2
     assert bus.waiting == 0
 
@@ -324,8 +322,7 @@ def test_overload_starves_the_less_urgent_only() -> None:
         bus.queue(number * 100_000, URGENT, "babbler")
     bus.queue(0, SLACK, "plant")
     bus.queue(50_000, USUAL, "plant")
-    arrived = bus.advance(10_000_000)
-    assert {d.frame for d in arrived} == {URGENT}
+    assert {d.frame for d in bus.advance(10_000_000)} == {URGENT}
     assert bus.load == pytest.approx(1.0, abs=1e-3)
     assert bus.waiting > 50
 

@@ -191,8 +191,7 @@ def test_faults_add_up_and_error_frames_come_first() -> None:
     hit, plan, bus = run(faults)
     assert plan.hits == {0: 50, 1: 100, 2: 100}
     assert bus.statistics.error_frames == 100
-    released = [d.released_ns // PERIOD_NS for d in of(hit, ShiftRequest)]
-    assert released == list(range(1, 100, 2))
+    assert [d.released_ns // PERIOD_NS for d in of(hit, ShiftRequest)] == list(range(1, 100, 2))
 
 
 @pytest.mark.parametrize(

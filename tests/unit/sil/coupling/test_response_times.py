@@ -92,8 +92,7 @@ def test_a_release_within_the_bit_of_arbitration_still_interferes() -> None:
 
 def test_a_response_at_the_end_of_the_period_is_in_time() -> None:
     for jitter_ns, in_time in ((500 * US, True), (500 * US + 1, False)):
-        messages = [standard("m", 1, 1_500 * US, jitter_ns=jitter_ns)]
-        (result,) = response_times(messages, 125_000)
+        (result,) = response_times([standard("m", 1, 1_500 * US, jitter_ns=jitter_ns)], 125_000)
         assert (result.response_ns, result.in_time) == (MS + jitter_ns, in_time)
 
 
@@ -200,8 +199,7 @@ def message_sets(draw: st.DrawFn) -> tuple[list[PeriodicMessage], int]:
     )
     messages = []
     for place, can_id in enumerate(ids):
-        length = draw(st.integers(0, 8))
-        message = PeriodicMessage(f"m{place}", can_id, 10**9, length)
+        message = PeriodicMessage(f"m{place}", can_id, 10**9, draw(st.integers(0, 8)))
         share = draw(st.floats(1.1, 3.0))
         period_ns = int(transmission_ns(message, bitrate) * number * share)
         jitter_ns = draw(st.integers(0, period_ns))
@@ -326,8 +324,7 @@ def test_crc_is_the_remainder_of_the_division(bits: int, count: int) -> None:
 
 def test_crc_has_its_published_check_value() -> None:
     """0x059E for the nine digits (catalogue of parametrised CRC algorithms, CRC-15/CAN)."""
-    digits = int.from_bytes(b"123456789", "big")
-    assert crc15(digits, 72) == 0x059E
+    assert crc15(int.from_bytes(b"123456789", "big"), 72) == 0x059E
 
 
 @pytest.mark.parametrize("length", range(9))

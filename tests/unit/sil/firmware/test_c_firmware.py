@@ -62,8 +62,7 @@ def varied(number: int) -> Loaded:
         "shift": {"retries": rng.randint(0, 2), "wait_for_sync": rng.random() < 0.3},
         "blow": {"cut": rng.choice(("none", "sync", "confirmation"))},
     }
-    controller = load_config(table, "varied")
-    scenario = msgspec.structs.replace(loaded.scenario, controller=controller)
+    scenario = msgspec.structs.replace(loaded.scenario, controller=load_config(table, "varied"))
     return Loaded(scenario, loaded.parameters, loaded.source)
 
 

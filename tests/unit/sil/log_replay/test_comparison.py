@@ -156,8 +156,7 @@ def test_the_first_difference_has_time_signals_and_inputs() -> None:
 
 def test_a_valve_is_open_by_its_duty_or_by_a_blow() -> None:
     on, blow, idle = tick(0.98), tick(blow=Chamber.B), tick()
-    found = compared([(idle, idle), (on, on), (blow, idle), (idle, idle)])
-    valve, *_ = found.matched_edges()
+    valve, *_ = compared([(idle, idle), (on, on), (blow, idle), (idle, idle)]).matched_edges()
     assert valve.lines(TICK) == ["valve B closes 1 sample (10 ms) earlier, once out of 1"]
     assert not compared([(tick(0.33), tick(0.33))]).engaged  # the duty that leaves it closed
 

@@ -164,8 +164,7 @@ def test_what_is_not_whole_in_a_log_is_said(nominal_log: Path, tmp_path: Path) -
 def test_a_shift_that_fails_is_data(tmp_path: Path) -> None:
     log = tmp_path / "blocked.log"
     truck_log(log, 3, 4, {"plant.mesh_force_n": 20_000.0}, nominal=True)
-    shifts = cut(log)
-    failed = [shift for shift in shifts if shift.failed]
+    failed = [shift for shift in cut(log) if shift.failed]
     assert failed and all(shift.start == "N" and shift.end in "BF" for shift in failed)
     # followed for as long as pulses are kept
     for shift in failed:

@@ -45,8 +45,7 @@ def test_the_phase_is_exact_on_another_clock(name: str, offset_ns: int) -> None:
 
 
 def test_a_log_that_begins_in_the_middle_is_not_taken_for_a_start() -> None:
-    log = [a for a in arrivals("full_shift") if a.time_ns > 333_000_000]
-    found = survey(log)
+    found = survey([a for a in arrivals("full_shift") if a.time_ns > 333_000_000])
     assert found.awake
     grid = make_grid(found, 10_000_000, COMPUTATION)
     assert not grid.fresh

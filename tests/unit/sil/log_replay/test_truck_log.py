@@ -130,8 +130,7 @@ def test_the_first_signal_with_values_counts_and_the_nearest_sender() -> None:
         for f in changed(FRAMES, 61444, lambda data: data.__setitem__(2, 125))
         if f.can_id >> 8 & 0x3FFFF == 61444
     ]
-    frames = sorted([*changed(FRAMES, 65198, circuit), *other])
-    log = read_mapped(SignalMapping(), frames)
+    log = read_mapped(SignalMapping(), sorted([*changed(FRAMES, 65198, circuit), *other]))
     shift = log.shifts[0]
     span = shift.start_ns - 1500 * MS, shift.end_ns + 1500 * MS
     pressure = log.samples("supply_pressure_pa", shift, *span, shift.start_ns)
@@ -159,8 +158,7 @@ def test_a_clock_that_steps_back_and_short_frames_are_no_trap() -> None:
         for f in FRAMES
         if f.time_ns > START_NS + 11_000 * MS
     ]
-    frames = without(FRAMES, 11_000, 99_000) + back
-    log = read_mapped(SignalMapping(), frames)
+    log = read_mapped(SignalMapping(), without(FRAMES, 11_000, 99_000) + back)
     for shift in log.shifts:
         assert recorded_shift(log, shift).times_s.keys()
     short = [f._replace(data=f.data[:4]) if f.time_ns % (100 * MS) == 0 else f for f in FRAMES]
@@ -201,8 +199,7 @@ def recorded(frames: Iterable[LogFrame]) -> list[RecordedShift]:
 @st.composite
 def made_shifts(draw: st.DrawFn) -> MadeShift:
     """A shift of any length with its instants in order."""
-    lengths = draw(st.tuples(*(st.integers(60, 900) for _ in range(5))))
-    instants = np.cumsum(lengths).tolist()
+    instants = np.cumsum(draw(st.tuples(*(st.integers(60, 900) for _ in range(5))))).tolist()
     gears = draw(st.sampled_from([(7, 8), (8, 7), (3, 4), (6, 7), (4, 2), (1, 2), (8, 4)]))
     cut, out, begin, end, engaged = instants
     back = engaged + draw(st.integers(100, 900))
@@ -343,8 +340,7 @@ def test_another_transmission_and_other_priorities() -> None:
 
 
 def test_a_shift_cut_off_by_the_end_of_the_log_is_noted() -> None:
-    frames = [f for f in Truck().frames() if f.time_ns - START_NS < 14_400 * MS]
-    log = read(frames)
+    log = read([f for f in Truck().frames() if f.time_ns - START_NS < 14_400 * MS])
     assert len(log.shifts) == 2
     assert any("without beginning or end" in note for note in log.notes)
 

@@ -130,8 +130,7 @@ def test_a_slow_engine_leaves_more_to_the_cone() -> None:
 
 def test_without_torque_both_leave_the_gear_together() -> None:
     found = recorded(without(ONE.frames(), 0, 99_000, 61444))
-    mine = ours(found)
-    assert mine.times_s["disengaged"] == pytest.approx(found.times_s["disengaged"])
+    assert ours(found).times_s["disengaged"] == pytest.approx(found.times_s["disengaged"])
     assert by_path(found)["request.after_s"].value == "as the gear is left"
 
 
@@ -216,8 +215,7 @@ def test_the_verdict_says_why_and_by_how_much(replay: TruckReplay) -> None:
     assert first.startswith(f"{theirs - mine:.3f} s quicker: {mine:.3f} s against {theirs:.3f} s")
     assert any("our cone takes the last" in line for line in reasons)
     assert any(line.startswith("harder: ") for line in reasons)
-    waiting = truck_verdict(second, 1)
-    assert any(line.startswith("as soft: ") for line in waiting)
+    assert any(line.startswith("as soft: ") for line in truck_verdict(second, 1))
 
 
 def test_the_page_has_a_picture_per_shift_up_to_a_number(
@@ -245,8 +243,7 @@ def test_the_figure_shows_both_sides(replay: TruckReplay) -> None:
     speeds = panels["Speed difference at the synchronizer"]
     assert [line.label for line in speeds.series] == ["recorded", "ours", "what-if"]
     assert [name for _, name in panels["Phases"].ticks] == ["recorded", "ours", "what-if"]
-    lanes = {span.low for span in panels["Phases"].spans}
-    assert len(lanes) == 3
+    assert len({span.low for span in panels["Phases"].spans}) == 3
     assert len(panels["Our stay"].series) == 2
 
 
@@ -283,8 +280,7 @@ def test_a_log_without_times_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_notes_of_the_log_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = write(tmp_path / "1.blf", with_engine())
-    assert cli.main(["replay", str(log), "--summary"]) == 0
+    assert cli.main(["replay", str(write(tmp_path / "1.blf", with_engine())), "--summary"]) == 0
     assert "log: the start in the header names no time zone" in capsys.readouterr().out
 
 

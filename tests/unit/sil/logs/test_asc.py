@@ -139,10 +139,9 @@ def test_common_and_other_lines_mixed(
 
 def test_a_later_header_changes_the_reading(tmp_path: Path) -> None:
     """Logs put one behind the other: each has its own number base."""
-    path = tmp_path / "log.asc"
     body = "".join(f"{i}.000000 1 10 Rx d 1 10\n" for i in range(3000))
-    path.write_text(f"base hex timestamps absolute\n{body}base dec timestamps absolute\n{body}")
-    found = [(f.can_id, f.data) for f in open_log(path)]
+    text = f"base hex timestamps absolute\n{body}base dec timestamps absolute\n{body}"
+    found = [(f.can_id, f.data) for f in log_of(tmp_path / "log.asc", text)]
     assert found == [(0x10, b"\x10")] * 3000 + [(10, b"\x0a")] * 3000
 
 

@@ -177,8 +177,7 @@ def test_a_damaged_container_is_left_out_whole(tmp_path: Path) -> None:
     damaged = bytearray(parts[1])
     damaged[50] ^= 0x55
     frames, report = read(file_of(parts[0], bytes(damaged), parts[2]), tmp_path)
-    numbers = [frame.can_id - 0x100 for frame in frames]
-    assert numbers == [*range(10), *range(20, 30)]
+    assert [frame.can_id - 0x100 for frame in frames] == [*range(10), *range(20, 30)]
     assert report.skipped == 1
     assert report.skipped_locations[0].byte == 144 + len(parts[0])
     with pytest.raises(InputError, match=r"byte \d+: damaged container"):
@@ -218,8 +217,7 @@ def test_a_cut_log_gives_what_there_is(tmp_path: Path) -> None:
 
 
 def test_a_log_shorter_than_its_header_states(tmp_path: Path) -> None:
-    blob = file_of(container(can(0)), stated_size=10_000)
-    frames, report = read(blob, tmp_path)
+    frames, report = read(file_of(container(can(0)), stated_size=10_000), tmp_path)
     assert len(frames) == 1
     assert report.truncated
 
@@ -241,8 +239,7 @@ def test_a_bomb_is_no_memory(tmp_path: Path) -> None:
     packed = zlib.compress(bytes(20 << 20), 1)
     size = 32 + len(packed)
     head = blf.OBJECT.pack(b"LOBJ", 16, 1, size, 10) + blf.CONTAINER.pack(2, 1000)
-    blob = file_of(head + packed + bytes(size % 4), container(can(1)))
-    frames, report = read(blob, tmp_path)
+    frames, report = read(file_of(head + packed + bytes(size % 4), container(can(1))), tmp_path)
     assert [frame.can_id for frame in frames] == [0x101]
     assert report.skipped == 1
 

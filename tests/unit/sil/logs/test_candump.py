@@ -240,8 +240,7 @@ class TestDeltaTimes:
         path = tmp_path / "log.txt"
         path.write_text("(000.000000) can0 123#11\n(000.100000) can0 123#11\n")
         assert [f.time_ns for f in open_log(path, times="delta")] == [0, 100_000_000]
-        text = (DATA / "screen_delta.txt").read_text()
-        path.write_text(text)
+        path.write_text((DATA / "screen_delta.txt").read_text())
         recorded = [f.time_ns // 1000 for f in open_log(path, times="recorded")]
         assert recorded == [0, 100_012, 99_995, 99_991, 100_103]
 
@@ -295,8 +294,7 @@ class TestUnterminated:
                 "788\n", "788 R\n" if " R\n" in before else "788\n"
             ),
         )
-        found = [f.can_id for f in reader if f.time_ns == 10**9]
-        assert found == ([0x123] if kept else [])
+        assert [f.can_id for f in reader if f.time_ns == 10**9] == ([0x123] if kept else [])
         assert reader.report.truncated is not kept
 
 

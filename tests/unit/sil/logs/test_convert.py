@@ -30,8 +30,7 @@ def test_the_report_has_both_sides(tmp_path: Path) -> None:
     lines = report.lines()
     assert lines[0] == f"{target}: 4 frames (blf)"
     assert "  broken and skipped: 6" in lines
-    stated = json.loads(json.dumps(report.as_dict()))
-    assert stated["read"]["backwards"] == 1
+    assert json.loads(json.dumps(report.as_dict()))["read"]["backwards"] == 1
     assert len(list(open_log(target))) == 4
 
 
@@ -61,8 +60,7 @@ def test_unknown_targets_and_missing_sources(tmp_path: Path) -> None:
 def test_formats_may_be_stated(tmp_path: Path) -> None:
     source, target = tmp_path / "a", tmp_path / "b"
     source.write_text("(1.000000) can0 123#11\n")
-    report = convert(source, target, format="candump", target_format="csv")
-    assert report.format == "csv"
+    assert convert(source, target, format="candump", target_format="csv").format == "csv"
     assert [frame.data for frame in open_log(target)] == [b"\x11"]
 
 
@@ -166,8 +164,7 @@ def test_a_log_without_a_run_keeps_its_frames_and_times(tmp_path: Path) -> None:
 
 
 def test_convert_leaves_the_protocol_out_and_counts_it(tmp_path: Path) -> None:
-    log = capture(tmp_path / "a.log", lockstep_records())
-    report = convert(log, tmp_path / "b.log")
+    report = convert(capture(tmp_path / "a.log", lockstep_records()), tmp_path / "b.log")
     assert report.written == 20
     assert any("left out: control frames (60)" in line for line in report.lines())
     assert [f.time_ns for f in open_log(tmp_path / "b.log")] == [at for at, _ in BUS_FRAMES]

@@ -121,10 +121,7 @@ ERROR_FRAME = (
 def logger_file(
     frames: Sequence[tuple[int, int, bytes]], start_ns: int, *, error_at: Sequence[int] = ()
 ) -> bytes:
-    """An unsorted, unfinished file: numbered records, data in a group of its own, as CANedge does.
-
-    frames: nanoseconds from the start, identifier, data. error_at: times of error frames.
-    """
+    """An unsorted, unfinished file, as CANedge's; frames: ns from the start, identifier, data; error_at: times of errors."""
     build = Mf4Builder(finished=False)
     header = build.block(
         b"HD", [0] * 6, struct.pack("<QhhBBBB", start_ns, 0, 0, 0, 0, 0, 0) + bytes(16)
@@ -374,8 +371,7 @@ def test_signals_that_are_no_table_are_refused(tmp_path: Path) -> None:
         (Field("time", 0, 0, 64, 4, 2), Field("a", 8, 0, 64, 4)),
     ):
         group = build.group(0, build.channels(fields), 16, cycles=1, flags=0)
-        data = build.block(b"DT", [], bytes(16))
-        groups.append(build.data_group(group, data, 0))
+        groups.append(build.data_group(group, build.block(b"DT", [], bytes(16)), 0))
     path = tmp_path / "log.mf4"
     build.link(64, 0, groups[0])
     path.write_bytes(build.blob)

@@ -196,19 +196,15 @@ def test_strict_refuses_at_the_line(line: str, expected: str, tmp_path: Path) ->
 
 
 def test_strict_refuses_a_cut_log(tmp_path: Path) -> None:
-    path = tmp_path / "log.log"
-    path.write_text("(1.000000) can0 123#11\n(2.000000) can0 12")
+    log_of(tmp_path / "log.log", "(1.000000) can0 123#11\n(2.000000) can0 12")
     with pytest.raises(InputError, match="not cut off"):
-        list(open_log(path, strict=True))
+        list(open_log(tmp_path / "log.log", strict=True))
 
 
 def test_garbage_alone_is_never_silence(tmp_path: Path) -> None:
-    path = tmp_path / "log.log"
-    path.write_text("nothing\nof a log\n")
-    with pytest.raises(
-        InputError, match=r"line 1: .* no CAN frame found, expected a log of format candump"
-    ):
-        list(open_log(path))
+    reason = r"line 1: .* no CAN frame found, expected a log of format candump"
+    with pytest.raises(InputError, match=reason):
+        list(log_of(tmp_path / "log.log", "nothing\nof a log\n"))
 
 
 def test_locations_are_few_and_counts_are_all(tmp_path: Path) -> None:
@@ -227,28 +223,22 @@ def test_each_reading_begins_anew() -> None:
 
 
 def test_a_reading_may_end_early() -> None:
-    reader = open_log(DATA / "candump_log.log")
-    assert next(iter(reader)).can_id == 0x44
+    assert next(iter(open_log(DATA / "candump_log.log"))).can_id == 0x44
 
 
 def test_duplicates_are_found_among_frames_of_one_instant(tmp_path: Path) -> None:
-    path = tmp_path / "log.log"
     words = ["(1.0) can0 123#11", "(1.0) can0 123#12", "(1.0) can1 123#11", "(1.0) can0 123#11"]
-    path.write_text("\n".join([*words, "(2.0) can0 123#11", ""]))
-    reader = open_log(path)
+    reader = log_of(tmp_path / "log.log", "\n".join([*words, "(2.0) can0 123#11", ""]))
     assert len(list(reader)) == 5
     assert reader.report.duplicates == 1
     assert "line 4" in reader.report.duplicate_locations[0]
 
 
 def test_times_across_batches_are_watched(tmp_path: Path) -> None:
-    path = tmp_path / "log.log"
-    count = 5000
-    lines = [f"({i}.000000) can0 123#11" for i in range(count)]
+    lines = [f"({i}.000000) can0 123#11" for i in range(5000)]
     lines[3000] = f"({2998}.500000) can0 123#11"
-    path.write_text("\n".join([*lines, ""]))
-    reader = open_log(path)
-    assert len(list(reader)) == count
+    reader = log_of(tmp_path / "log.log", "\n".join([*lines, ""]))
+    assert len(list(reader)) == 5000
     assert reader.report.backwards_locations == [
         "line 3001: the clock steps back from 2999.000000 s to 2998.500000 s"
     ]

@@ -112,8 +112,7 @@ def test_overlapping_files_are_interleaved_and_the_same_frames_taken_once(tmp_pa
     other = made(tmp_path / "b.log", range(1001, 6000, 2), 0x200, "can1")
     again = made(tmp_path / "c.log", range(3000, 7000, 2))
     log = open_logs([tmp_path / name for name in ("a.log", "b.log", "c.log")])
-    found = list(log)
-    assert found == sorted({*first, *other, *again}, key=lambda frame: frame.time_ns)
+    assert list(log) == sorted({*first, *other, *again}, key=lambda frame: frame.time_ns)
     assert log.repeated == 500
     assert "overlaps by 2.997000 s" in log.report.files[1]
     assert log.report.files[3] == "500 frames are in several files and were taken once"

@@ -171,8 +171,7 @@ def test_a_line_without_end_takes_bounded_memory() -> None:
             self.given += 1 << 20
             return b"\x00" * (1 << 20)
 
-    longest = max(len(chunk.text) for chunk in chunks(Endless()))
-    assert longest <= LONGEST_LINE + 1
+    assert max(len(chunk.text) for chunk in chunks(Endless())) <= LONGEST_LINE + 1
 
 
 def test_lines_after_an_overlong_one_keep_their_numbers() -> None:

@@ -91,10 +91,9 @@ def test_every_version(name: str) -> None:
     ],
 )
 def test_unknown_kinds_are_refused(header: str, expected: str, tmp_path: Path) -> None:
-    path = tmp_path / "log.trc"
-    path.write_text(header + "      1     17535.400 DT 1  00000100 Tx -  2    01 02\n")
+    text = header + "      1     17535.400 DT 1  00000100 Tx -  2    01 02\n"
     with pytest.raises(InputError, match=expected):
-        list(open_log(path))
+        list(log_of(tmp_path / "log.trc", text))
 
 
 def test_without_a_start_time_times_are_relative(tmp_path: Path) -> None:
@@ -122,10 +121,8 @@ def test_without_a_start_time_times_are_relative(tmp_path: Path) -> None:
     ],
 )
 def test_broken_lines(line: str, tmp_path: Path) -> None:
-    path = tmp_path / "log.trc"
-    sound = "1 17000.000 DT 1 00000100 Tx - 1 01"
-    path.write_text(f";$FILEVERSION=2.1\n;$STARTTIME=44548.5\n{sound}\n{line}\n")
-    reader = open_log(path)
+    sound = ";$FILEVERSION=2.1\n;$STARTTIME=44548.5\n1 17000.000 DT 1 00000100 Tx - 1 01\n"
+    reader = log_of(tmp_path / "log.trc", f"{sound}{line}\n")
     assert len(list(reader)) == 1
     assert reader.report.skipped_locations[0].line == 4
 
@@ -206,10 +203,9 @@ def test_tables_of_other_tools(name: str) -> None:
 
 def test_savvycan_stamps_since_1970(tmp_path: Path) -> None:
     """SavvyCAN writes microseconds; since 1970 these have 16 digits."""
-    path = tmp_path / "log.csv"
-    text = (DATA / "savvycan.csv").read_text().splitlines()
-    path.write_text(f"{text[0]}\n1700000000123456,00000123,false,Rx,0,1,1A,\n")
-    reader = open_log(path)
+    header = (DATA / "savvycan.csv").read_text().splitlines()[0]
+    row = "1700000000123456,00000123,false,Rx,0,1,1A,"
+    reader = log_of(tmp_path / "log.csv", f"{header}\n{row}\n")
     assert [frame.time_ns for frame in reader] == [1_700_000_000_123_456_000]
     assert reader.report.time_base == "absolute"
 
@@ -260,10 +256,8 @@ def test_signals_are_named() -> None:
 
 
 def test_an_unknown_header_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text("a,b,c\n1,2,3\n")
     with pytest.raises(InputError, match=r"line 1: header 'a,b,c' is unknown"):
-        list(open_log(path))
+        list(log_of(tmp_path / "log.csv", "a,b,c\n1,2,3\n"))
 
 
 def test_a_comma_in_a_channel_name_is_refused(tmp_path: Path) -> None:
@@ -275,18 +269,15 @@ def test_a_comma_in_a_channel_name_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("last", "kept"), [("5,A2", True), ("5,A", False), ("5,", True)])
 def test_a_last_savvycan_row_without_end(last: str, kept: bool, tmp_path: Path) -> None:
     count = 2 if last.startswith("5,A") else 1
-    path = tmp_path / "log.csv"
     header = (DATA / "savvycan.csv").read_text().splitlines()[0]
     sound = "1000000,00000123,false,Tx,1,1,1A,"
-    path.write_text(f"{header}\n{sound}\n1000123,00000123,false,Tx,1,{count},{last}")
-    reader = open_log(path)
+    text = f"{header}\n{sound}\n1000123,00000123,false,Tx,1,{count},{last}"
+    reader = log_of(tmp_path / "log.csv", text)
     assert len(list(reader)) == 1 + kept
     assert reader.report.truncated is not kept
 
 
 def test_a_header_of_a_further_part_is_no_broken_line(tmp_path: Path) -> None:
-    text = (DATA / "savvycan.csv").read_text()
-    (tmp_path / "a.csv").write_text(text + text)
-    reader = open_log(tmp_path / "a.csv")
+    reader = log_of(tmp_path / "a.csv", (DATA / "savvycan.csv").read_text() * 2)
     assert len(list(reader)) == 2 * len(list(open_log(DATA / "savvycan.csv")))
     assert reader.report.other == {"header of a further part": 1} and not reader.report.skipped

@@ -79,8 +79,7 @@ def test_the_digest_is_that_of_instant_identifier_length_and_data(tmp_path: Path
         once = log.digest()
         log.record([delivery(258, 0x0CFF2503, b"\x01\x02")])
         assert log.digest() != once
-    written = bytes.fromhex("02010000000000000325ff0c020102")
-    assert once == hashlib.sha256(written).digest()
+    assert once == hashlib.sha256(bytes.fromhex("02010000000000000325ff0c020102")).digest()
 
 
 def rows(count: int, start: int = 0) -> np.ndarray:
@@ -210,8 +209,7 @@ def written(path: Path) -> list[BusFrame]:
 
 def test_frames_come_back_and_a_torn_last_one_is_left_out(tmp_path: Path) -> None:
     frames = written(tmp_path / "bus.frames")
-    content = (tmp_path / "bus.frames").read_bytes()
-    (tmp_path / "bus.frames").write_bytes(content[:-1])
+    (tmp_path / "bus.frames").write_bytes((tmp_path / "bus.frames").read_bytes()[:-1])
     stored = StoredFrames(stored_rows(tmp_path / "bus.frames", STORED_FRAME), SENDERS)
     assert list(stored) == frames[:19]
     assert frames[3] in stored and frames[19] not in stored and len(stored) == 19
@@ -269,8 +267,7 @@ def test_events_read_back(tmp_path: Path) -> None:
         PlantEvent(0.5, "stay_stop", {"speed_m_s": 0.1 + 0.2}),
         PlantEvent(0.6, "valve_B_open"),
     ]
-    lines = path.read_bytes().splitlines()
-    assert [event_of(line, "line") for line in lines] == wanted
+    assert [event_of(line, "line") for line in path.read_bytes().splitlines()] == wanted
     with pytest.raises(InputError, match="line 1: not an event"):
         event_of(b'{"time_s": 0.7}', "line 1")
 

@@ -19,8 +19,7 @@ from tests.support.figures import everything
 
 
 def texts(figure: Figure) -> set[str]:
-    drawing = draw(figure)
-    return {text.get_text() for axes in drawing.axes for text in axes.texts}
+    return {text.get_text() for axes in draw(figure).axes for text in axes.texts}
 
 
 def test_both_kinds_are_written_and_repeat_to_the_byte(tmp_path: Path) -> None:
@@ -75,8 +74,7 @@ def test_limits_that_fall_turn_the_axis_over() -> None:
 
 def test_long_names_of_ticks_are_not_cut(tmp_path: Path) -> None:
     ticks = [(float(k), 2 * "no filter, every 2.5 ms, opens in 2 ms, ") for k in range(9)]
-    panel = Panel("p", "", ticks=ticks, limits=(-0.6, 8.6))
-    save(Figure([Stack("x", [panel])]), tmp_path, "f")
+    save(Figure([Stack("x", [Panel("p", "", ticks=ticks, limits=(-0.6, 8.6))])]), tmp_path, "f")
     image = imread(tmp_path / "f.png")
     assert (image[:, :2] == image[0, 0]).all() and not (image[:, :20] == image[0, 0]).all()
 

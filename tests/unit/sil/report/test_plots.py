@@ -127,8 +127,7 @@ def test_series_of_different_instants_share_one_axis() -> None:
     ):
         found = on_axis(Series("a", own, values, "truth", style), x)  # type: ignore[arg-type]
         np.testing.assert_array_equal(found, expected)
-    empty = Series("a", np.array([]), np.array([]), "truth")
-    assert np.isnan(on_axis(empty, x)).all()
+    assert np.isnan(on_axis(Series("a", np.array([]), np.array([]), "truth"), x)).all()
 
 
 def test_all_content_is_in_the_page_with_a_group_per_stack() -> None:

@@ -46,8 +46,7 @@ def test_state_spans_merge_and_show_silence() -> None:
 
 def test_figure_of_a_shift() -> None:
     record = made_run.made()
-    shifts = metrics.shifts(record, Gear.NEUTRAL)
-    figure = run_figure(record, shifts, "a", "b")
+    figure = run_figure(record, metrics.shifts(record, Gear.NEUTRAL), "a", "b")
     (zoom,) = figure.stacks[0].zooms
     assert zoom.low == pytest.approx(80.0) and zoom.high == pytest.approx(235.5 + 25.0)
     texts = {text.get_text() for axes in draw(figure).axes for text in axes.texts}
@@ -122,8 +121,7 @@ def test_figure_of_a_run_without_a_shift(tmp_path: Path) -> None:
 
 def test_faults_and_their_detection_are_marked_in_every_panel() -> None:
     run = run_in_memory(load("frozen_counter"))
-    faults = fault_spans(run.scenario)
-    (stack,) = run_figure(run.record, run.shifts, faults=faults).stacks
+    (stack,) = run_figure(run.record, run.shifts, faults=fault_spans(run.scenario)).stacks
     for panel in stack.panels:
         (span,) = [span for span in panel.spans if span.role == "fault"]
         assert (span.start, span.end) == (pytest.approx(120.0), pytest.approx(1500.0))

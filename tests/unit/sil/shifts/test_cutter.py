@@ -251,8 +251,7 @@ def test_gears_alone_on_another_channel_show_no_shift_twice() -> None:
 
 def test_gears_alone_of_two_senders_show_no_shift_twice() -> None:
     log = of_group(ETC2, truck(flags=False))
-    found = shifts(merged(log, echo(log, 40, source=0x27)))
-    assert gears(found) == [row[2:] for row in SEVEN]
+    assert gears(shifts(merged(log, echo(log, 40, source=0x27)))) == [row[2:] for row in SEVEN]
 
 
 def test_without_gears_the_ratios_are_reported() -> None:
@@ -413,8 +412,7 @@ def test_a_sender_that_was_silent_and_begins_with_zeros_makes_no_shift() -> None
 
 
 def test_a_change_of_gear_during_silence_has_no_shift_time() -> None:
-    frames = silence(truck(SEVEN[:2], flags=False, end_ms=9_000), 4_000, 6_500)
-    found = summarize(frames)
+    found = summarize(silence(truck(SEVEN[:2], flags=False, end_ms=9_000), 4_000, 6_500))
     assert plain(found.shifts) == [(2_630, 2_730, 0, 1)]
     assert any("was silent for 2." in note and "in 2 instead of 1" in note for note in found.notes)
 

@@ -60,8 +60,7 @@ class _Tags(HTMLParser):
 
 
 def test_page_is_well_formed_and_needs_no_network() -> None:
-    record = made_run.made()
-    shifts = metrics.shifts(record, Gear.NEUTRAL)
+    shifts = metrics.shifts(made_run.made(), Gear.NEUTRAL)
     figures = metrics.summary(shifts, None, 2, 200)
     result = finished_result(
         metrics=figures,

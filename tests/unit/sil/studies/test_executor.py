@@ -109,8 +109,7 @@ def test_killed_and_resumed_no_row_is_lost_or_repeated(
     workers = children(first.pid)
     first.send_signal(signal.SIGKILL)
     first.wait()
-    left = lines_of(out / RESULTS) - 1
-    assert 0 < left < 120
+    assert 0 < lines_of(out / RESULTS) - 1 < 120
     assert len(workers) == 2
     deadline = time.monotonic() + 60.0
     while any(Path(f"/proc/{worker}").exists() for worker in workers):

@@ -95,10 +95,8 @@ def test_workers_and_resuming_give_the_same_bytes(tmp_path: Path) -> None:
     run_study(study, folders[1], workers=2)
     run_study(study, folders[2])
     whole = (folders[0] / RESULTS).read_bytes()
-    torn = whole[: int(len(whole) * 0.47)]
-    (folders[2] / RESULTS).write_bytes(torn)
-    now = run_study(study, folders[2], resume=True)
-    assert 0 < now < 80
+    (folders[2] / RESULTS).write_bytes(whole[: int(len(whole) * 0.47)])
+    assert 0 < run_study(study, folders[2], resume=True) < 80
     assert [(f / RESULTS).read_bytes() == whole for f in folders] == [True, True, True]
 
 
@@ -133,8 +131,7 @@ def test_space_filling_designs_repeat_and_fill(kind: str, tmp_path: Path) -> Non
     assert len(values) == 64
     shares = np.sort(np.log10(values / 1e-5) / 2.0)
     assert np.max(np.abs(shares - (np.arange(64) + 0.5) / 64)) < 1.0 / 64
-    again = load_study(str(study_file(tmp_path, text)))
-    assert again.points == study.points
+    assert load_study(str(study_file(tmp_path, text))).points == study.points
 
 
 @pytest.mark.parametrize(
@@ -236,8 +233,7 @@ def test_what_is_no_number_is_drawn_by_name(tmp_path: Path) -> None:
     study = load_study(str(path))
     assert run_study(study, tmp_path) == 6
     rows = table(tmp_path)
-    read = read_table(study, tmp_path)
-    (stack,) = choices_figure(study, read).stacks
+    (stack,) = choices_figure(study, read_table(study, tmp_path)).stacks
     loads = [name for _at, name in stack.ticks]
     assert (stack.title, loads) == ("By load", ["9 bar", "7 bar", "6 bar"])
     assert [line.label for line in stack.panels[0].series] == ['""', '"N"']

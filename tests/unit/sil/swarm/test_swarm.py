@@ -70,8 +70,7 @@ def test_one_worker_two_or_an_interruption_make_no_difference(tmp_path: Path) ->
 
 
 def test_shrinking_leaves_what_is_needed() -> None:
-    rng = random.Random(1)
-    table = new_table(rng, BASE)
+    table = new_table(random.Random(1), BASE)
     table["duration_s"] = 4.0
     table["request"] = [{"at_s": 0.1234, "gear": "forward"}, {"at_s": 0.9876, "gear": "neutral"}]
     table["valve_fault"] = [
@@ -168,11 +167,9 @@ def test_a_bug_is_found_and_fails_by_itself(
     assert "too_many_attempts" in capsys.readouterr().out
     file = next((out / "failures").glob("too_many_attempts_*.toml"))
     assert file.with_suffix(".png").exists() and (out / "report.html").exists()
-    run = ["run", str(file), "--no-report", "--out", str(tmp_path / "run")]
-    assert cli.main(run) == 1
+    assert cli.main(["run", str(file), "--no-report", "--out", str(tmp_path / "run")]) == 1
     assert "rules broken" in capsys.readouterr().out
-    text = file.read_text().replace(str(firmware), "c")
-    (tmp_path / "mended.toml").write_text(text)
+    (tmp_path / "mended.toml").write_text(file.read_text().replace(str(firmware), "c"))
     mended = ["run", str(tmp_path / "mended.toml"), "--no-report", "--out", str(tmp_path / "run2")]
     assert cli.main(mended) == 0
 

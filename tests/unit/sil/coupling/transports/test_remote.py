@@ -57,8 +57,7 @@ def test_a_grant_counts_what_was_delivered_since_the_last_one(peer: Peer) -> Non
     feed(peer, wire.control(Kind.DONE, PLANT, 0, 2000))
     peer.delivered = 300
     ((can_id, payload),) = wire.split(peer.grant(2000))
-    said = wire.parse_control(can_id, payload)
-    assert said == (Kind.GRANT, PLANT, 300 - 256, 2000)
+    assert wire.parse_control(can_id, payload) == (Kind.GRANT, PLANT, 300 - 256, 2000)
     assert peer.delivered == 0 and peer.done is None
 
 
@@ -194,8 +193,7 @@ def test_what_could_be_taken_for_lockstep_is_not_offered(frame: Frame) -> None:
 @given(st.binary(max_size=96))
 def test_garbage_is_refused_or_is_made_of_whole_records(garbage: bytes) -> None:
     try:
-        records = list(wire.split(garbage))
-        controls = [wire.parse_control(*record) for record in records]
+        controls = [wire.parse_control(*record) for record in wire.split(garbage)]
     except wire.WireError:
         return
     assert len(controls) == len(garbage) // 16 and len(garbage) % 16 == 0

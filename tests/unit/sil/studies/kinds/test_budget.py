@@ -19,8 +19,7 @@ from sil.studies.kinds.budget import BARS, NoBudgetError, budget_of, simulated
 @pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])
 def test_group_delay_is_the_slope_of_the_phase(order: int, fc_hz: float) -> None:
     b, a = signal.butter(order, 2.0 * math.pi * fc_hz, analog=True)
-    w = np.array([1e-3, 2e-3])
-    _, response = signal.freqs(b, a, w)
+    _, response = signal.freqs(b, a, np.array([1e-3, 2e-3]))
     slope_s = -float(np.diff(np.unwrap(np.angle(response)))[0] / 1e-3)
     delay_s = budgets.filter_delay_s(FilterConfig(order=order, fc_hz=fc_hz))
     assert delay_s == pytest.approx(slope_s, rel=1e-6)
@@ -47,8 +46,7 @@ def test_today_the_stay_is_at_its_stop_long_before(today: dict[str, float]) -> N
     assert 0.018 < today["window_s"] < 0.023
     assert today["slack_s"] < -0.05
     assert max(BARS, key=lambda bar: today[simulated(bar)]) == "filter"
-    without_build_up_s = today["spent_s"] - today[simulated("pressure build-up")]
-    assert without_build_up_s > 0.048
+    assert today["spent_s"] - today[simulated("pressure build-up")] > 0.048
 
 
 def test_a_shift_that_never_arrives_has_no_budget() -> None:

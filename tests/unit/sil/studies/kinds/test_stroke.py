@@ -73,11 +73,9 @@ def test_nothing_is_better_than_the_front_in_both(study: Study) -> None:
 
 
 def test_a_front_shows_the_unchanged_actuator_without_and_with_the_oil_damper(study: Study) -> None:
-    panel = study.file.draw(study, table_of(study))["pareto"].stacks[0].panels[0]
-    plain, damped = panel.notes
+    plain, damped = study.file.draw(study, table_of(study))["pareto"].stacks[0].panels[0].notes
     assert (plain.text, damped.text) == ("nothing changed", "oil damper")
-    nominal = study.run(StudyRow(0, (), {})).figures
-    assert plain.x == 1e3 * nominal["arrival_s"]
+    assert plain.x == 1e3 * study.run(StudyRow(0, (), {})).figures["arrival_s"]
     assert damped.y < 0.5 * plain.y
 
 
@@ -123,5 +121,4 @@ def test_each_sequence_and_load_is_the_stroke_that_the_plant_makes() -> None:
 
 def test_a_late_arrival_has_no_impact() -> None:
     late = ((0.045, "B", FULL_DUTY),)
-    arrivals = arrivals_of(PARAMETERS, GEARBOX, [late], limit_s=0.06)
-    assert np.isinf(arrivals.impact_stay_m_s).all()
+    assert np.isinf(arrivals_of(PARAMETERS, GEARBOX, [late], limit_s=0.06).impact_stay_m_s).all()

@@ -32,8 +32,7 @@ def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
     reference = LoadShift(0.9, 0.05)
     assert tuning.cost_m_s(LoadShift(0.3, 0.08), reference, 0.034, 10.0) == 0.3
     assert tuning.cost_m_s(LoadShift(0.3, 0.104), reference, 0.034, 10.0) == pytest.approx(0.5)
-    failed = LoadShift()
-    assert tuning.cost_m_s(failed, reference, 0.034, 10.0) == 10.0
+    assert tuning.cost_m_s(LoadShift(), reference, 0.034, 10.0) == 10.0
 
 
 @pytest.mark.parametrize("strategy", list(tuning.SPACES))
@@ -57,8 +56,7 @@ def test_the_best_is_no_worse_than_the_defaults_and_runs_again_the_same() -> Non
     candidates = tuning.tune(lab, "air_cushion", [QUICK], reference, table)
     assert len(candidates) == 5
     assert [c.cost_m_s for c in candidates] == sorted(c.cost_m_s for c in candidates)
-    defaults = next(c for c in candidates if not c.parameters)
-    assert candidates[0].cost_m_s <= defaults.cost_m_s
+    assert candidates[0].cost_m_s <= next(c for c in candidates if not c.parameters).cost_m_s
     again = tuning.run_case(lab, "air_cushion", candidates[0].parameters, QUICK)
     assert again == candidates[0].arrivals[0]
 
