@@ -53,8 +53,7 @@ def test_a_value_at_which_the_plant_does_not_exist_is_one_that_a_fit_leaves_out(
 
 
 def test_candidates_travel_by_name_and_variants_exclude_each_other() -> None:
-    twin = pickle.loads(pickle.dumps(ALL[0]))
-    assert twin == ALL[0]
+    assert pickle.loads(pickle.dumps(ALL[0])) == ALL[0]
     variants = [item for item in ALL if item.id == "residual_pressure"]
     assert len(variants) > 1 and not compatible(variants[1], (variants[0],))
     assert compatible(variants[1], (ALL[0],))

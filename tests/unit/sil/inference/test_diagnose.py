@@ -22,8 +22,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_a_clean_campaign_is_consistent(clean) -> None:
-    found = diagnose(clean, load(), workers=1)
-    plain = json.loads(json.dumps(found.as_json()))
+    plain = json.loads(json.dumps(diagnose(clean, load(), workers=1).as_json()))
     assert plain.keys() >= {"format", "campaign", "verdict", "causes", "rivals"}
     assert plain.keys() >= {"next_experiment", "gain", "false_alarm", "extended_model"}
     assert plain["verdict"] == "consistent"
@@ -58,8 +57,7 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     assert {"strokes.png", "strokes.svg"} <= set(os.listdir(tmp_path))
     assert "exhaust_clog" in text and "http://" not in text and "https://" not in text
     assert "opc4 diagnose measured/ --model nominal" in text
-    again = diagnose(campaign, extended, workers=1)
-    assert again.verdict.kind == "consistent"
+    assert diagnose(campaign, extended, workers=1).verdict.kind == "consistent"
 
 
 FIXED = (("fixed", 900000.0), ("fixed", 600000.0), ("fixed", 750000.0), ("fixed", 900000.0))
@@ -159,8 +157,7 @@ def test_values_that_cannot_be_simulated_are_reported(tmp_path, own_effects) -> 
     (tmp_path / "runaway.py").write_text(RUNAWAY, encoding="utf-8")
     own_effects(str(tmp_path / "runaway.py"))
     hidden = overridden(load(), {"effect.runaway.gain": 4.0})
-    campaign = made(tmp_path / "campaign", hidden, seed=11, count=5)
-    found = diagnose(campaign, load(), workers=2)
+    found = diagnose(made(tmp_path / "campaign", hidden, seed=11, count=5), load(), workers=2)
     assert found.causes[0].id == "runaway"
     (reported,) = [text for text in map(str, found.findings) if "cannot be simulated" in text]
     tried = found.refusals["runaway"]

@@ -44,8 +44,7 @@ def test_a_clean_campaign_stands_on_the_floor(clean_model) -> None:
 
 def test_the_smallest_size_costs_a_healthy_fit_what_it_should(tmp_path) -> None:
     """With the cause at that size in noise-free strokes, no tolerance or scatter explains it."""
-    model = model_of(made(tmp_path, seed=9, count=4))
-    fitter = Fitter(model)
+    fitter = Fitter(model_of(made(tmp_path, seed=9, count=4)))
     fit = fitter.fit()
     for name in ("valve_open_delay", "exhaust_clog"):
         (score,) = screen(fitter, fit, [ALL[name]])
@@ -81,8 +80,7 @@ def test_a_hidden_effect_is_recovered_with_its_score_first(tmp_path) -> None:
     assert fit.values[0]["factor"] == pytest.approx(0.8, abs=0.03)
     sd = fit.covariance[-1, -1] ** 0.5 * np.log(1.2)
     assert 0.005 < sd < 0.02  # no better than the unit's own tolerance of its flows
-    rival = fitter.fit((ALL["inlet_clog"],), start=start)
-    assert rival.evidence() - fit.evidence() > 100.0
+    assert fitter.fit((ALL["inlet_clog"],), start=start).evidence() - fit.evidence() > 100.0
 
 
 def test_frozen_parameters_stay(clean_model) -> None:
@@ -215,6 +213,5 @@ def test_a_cause_that_was_never_simulated_or_never_fitted_is_reported(
 
 @pytest.mark.parametrize(("evidence", "reported"), [(50.0, True), (150.0, False)])
 def test_a_better_explanation_that_was_given_up_is_reported(evidence, reported) -> None:
-    fits = {"external_force": fit_of(FORCE, evidence)}
-    found = findings(refused(FORCE, lost=1), fits=fits)
+    found = findings(refused(FORCE, lost=1), fits={"external_force": fit_of(FORCE, evidence)})
     assert ["not judged" in text for text in found] == [True] * reported

@@ -47,8 +47,7 @@ def tried(
 def test_a_variant_begins_where_the_parameters_are_that_it_shares(
     monkeypatch: pytest.MonkeyPatch, name: str, other: str, start: tuple[float, ...]
 ) -> None:
-    values = {"offset_s": 0.01} | ({} if other else {"drift": 0.002})
-    found = tried(monkeypatch, name, values)
+    found = tried(monkeypatch, name, {"offset_s": 0.01} | ({} if other else {"drift": 0.002}))
     assert found == {other or "clock_skew:offset alone": ((start,),)}
 
 

@@ -125,8 +125,7 @@ def test_look_alikes_are_rivals_and_the_verdict_ambiguous() -> None:
 
 
 def test_no_gain_on_held_out_strokes_is_no_cause() -> None:
-    found = verdict(entry(3000.0, 500.0), entry(1000.0, 501.0, "stribeck"))
-    assert found.kind == "consistent"
+    assert verdict(entry(3000.0, 500.0), entry(1000.0, 501.0, "stribeck")).kind == "consistent"
 
 
 @pytest.mark.parametrize(
@@ -201,8 +200,7 @@ def test_a_tiny_second_cause_that_gains_next_to_nothing_is_not_claimed() -> None
     def found(size: float):
         pair = entry(900.0, 440.0, "seal_pressure_friction", "external_force")
         single = entry(1000.0, 480.0, "seal_pressure_friction")
-        healthy = entry(100000.0, 50000.0, excess=2e5)
-        return verdict(healthy, single, with_sizes(pair, 1.0, size))
+        return verdict(entry(100000.0, 50000.0, excess=2e5), single, with_sizes(pair, 1.0, size))
 
     assert found(0.01).claimed == ("seal_pressure_friction",)
     assert "external_force" in found(0.3).claimed
@@ -228,8 +226,7 @@ def test_a_fit_that_the_held_out_strokes_refuse_is_counted_once() -> None:
     def refuse(*_words: object, **_options: object) -> None:
         raise IntegrationError("too stiff")
 
-    model = SimpleNamespace(size=2, offsets=(), unit=(), offsets_in=lambda _k: ())
-    fitter = Fitter(model)
+    fitter = Fitter(SimpleNamespace(size=2, offsets=(), unit=(), offsets_in=lambda _k: ()))
     fitter.fit = refuse
     one, two = (
         SimpleNamespace(name=name, shared=[], candidates=[SimpleNamespace(name=name, id=name)])

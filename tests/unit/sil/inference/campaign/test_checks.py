@@ -103,8 +103,7 @@ def test_saturation_is_a_finding(clean) -> None:
 def test_a_shifted_time_base_is_measured(shift: float) -> None:
     time_s = np.linspace(0.0, 0.3, 1500)
     predicted = 1e5 + 7e5 / (1.0 + np.exp(-(time_s - 0.1) / 0.01))
-    measured = np.interp(time_s - shift, time_s, predicted)
-    found = time_shift({"p": (measured, predicted, time_s)})
+    found = time_shift({"p": (np.interp(time_s - shift, time_s, predicted), predicted, time_s)})
     assert found == pytest.approx(shift, abs=2e-4)
     assert time_shift({"p": (predicted + 50.0, predicted, time_s)}) == 0.0
 

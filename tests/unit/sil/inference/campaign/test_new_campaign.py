@@ -77,8 +77,7 @@ def test_a_unit_may_say_what_pressures_count_from(units: tuple[str, ...], level:
 
 
 def test_time_is_what_does_not_fall() -> None:
-    columns = {"a [s]": -RISING, "b [s]": RISING, "t": 1e3 * RISING}
-    a, b, t = recognise(columns, {}, "")
+    a, b, t = recognise({"a [s]": -RISING, "b [s]": RISING, "t": 1e3 * RISING}, {}, "")
     assert (a.ours, b.ours, b.scale) == ("", "time_s", 1.0) and "a second time_s" in t.open
     assert recognise({"t": 1e5 * RISING}, {}, "")[0].scale is None  # steps of minutes: another unit
 

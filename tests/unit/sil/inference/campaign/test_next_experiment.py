@@ -67,16 +67,14 @@ def test_evidence_of_strokes_together_is_that_of_one_fit_to_all_of_them() -> Non
     for r, j in strokes:
         rows = np.column_stack([j, r])
         sums = added(sums, {(0, 1): rows.T @ rows})
-    root = np.sqrt(prior)
-    j = np.vstack([*(j for _r, j in strokes), root])
+    j = np.vstack([*(j for _r, j in strokes), np.sqrt(prior)])
     r = np.concatenate([*(r for r, _j in strokes), np.zeros(2)])
     left = r - j @ np.linalg.lstsq(j, r, rcond=None)[0]
     assert distances_of(sums)[0, 1] == pytest.approx(0.5 * left @ left)
 
 
 def test_a_cause_that_a_tolerance_imitates_tells_less_than_one_that_none_does(clean_model) -> None:
-    fitter = Fitter(clean_model)
-    healthy = HypothesisInformation.of(fitter.fit(iterations=4))
+    healthy = HypothesisInformation.of(Fitter(clean_model).fit(iterations=4))
     causes = {item.name: item for item in available(clean_model.strokes)}
 
     def distance(name: str) -> float:
@@ -97,8 +95,7 @@ def test_a_cause_that_a_tolerance_imitates_tells_less_than_one_that_none_does(cl
 # --- designs ---------------------------------------------------------------------------------------
 def test_designs_vary_what_was_measured_and_nothing_else(clean_model) -> None:
     strokes = clean_model.strokes
-    found = designs(strokes, "next")
-    conditions = [entry.conditions for entry in found]
+    conditions = [entry.conditions for entry in designs(strokes, "next")]
     assert len(set(conditions)) == len(conditions) > 50
     assert {c.kind for c in conditions} == {s.conditions.kind for s in strokes}
     assert {c.load for c in conditions} == {"none"}

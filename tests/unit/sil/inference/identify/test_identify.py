@@ -146,8 +146,7 @@ def resting(volume: str) -> list[StrokeConditions]:
     """Fill and empty a volume at rest: chamber 1 at the far stop, or 2 at the near one."""
     chamber, offset_m = ("1", 0.01285) if volume == "small" else ("2", 0.0)
     fill = conditions(commands=((0.01, chamber, 0.98),), start_offset_m=offset_m)
-    empty = replace(fill, commands=((0.01, chamber, 0.0),), charged_before=(chamber,))
-    return [fill, empty]
+    return [fill, replace(fill, commands=((0.01, chamber, 0.0),), charged_before=(chamber,))]
 
 
 def test_flow_maps_are_recovered_and_predict_another_volume(tmp_path: Path) -> None:
@@ -178,8 +177,7 @@ def test_flow_maps_are_recovered_and_predict_another_volume(tmp_path: Path) -> N
 
 def test_two_polynomials_meet_and_vanish() -> None:
     x = np.linspace(0.1, 1.0, 400)
-    y = 1.0 - x**3
-    near, far = two_polynomials(x, y, 0.55, 4, 3)
+    near, far = two_polynomials(x, 1.0 - x**3, 0.55, 4, 3)
     assert np.polyval(near[::-1], 1.0) == pytest.approx(0.0, abs=1e-10)
     assert np.polyval(near[::-1], 0.55) == pytest.approx(np.polyval(far[::-1], 0.55), abs=1e-10)
     assert np.polyval(far[::-1], 0.3) == pytest.approx(1.0 - 0.3**3, abs=1e-9)

@@ -78,8 +78,7 @@ def test_a_fit_ends_where_its_cost_is_low_enough(fitter: Fitter, usual: Fit) -> 
 
 def test_the_scale_of_the_noise_is_the_likeliest(fitter: Fitter) -> None:
     sd = np.sqrt(fitter.variance(FINE_M))
-    draws = np.random.default_rng(2).standard_t(4.0, sd.shape)
-    off = 5.0 * sd * draws
+    off = 5.0 * sd * np.random.default_rng(2).standard_t(4.0, sd.shape)
     # beyond the rounding of the timer
     off += 0.5 * fitter.model.tick_m * np.sign(off)
     assert fitter.factor_of(fitter.position_m + off) == pytest.approx(5.0, rel=0.15)
@@ -89,8 +88,7 @@ def test_the_scale_of_the_noise_is_the_likeliest(fitter: Fitter) -> None:
 def test_a_shift_that_cannot_be_simulated_costs_much(fitter: Fitter, usual: Fit) -> None:
     x = usual.position_m
     which = np.arange(len(fitter.model))
-    done = which > 0
-    costs = fitter._misfit(x, done, which, fitter.variance(FINE_M))
+    costs = fitter._misfit(x, which > 0, which, fitter.variance(FINE_M))
     assert costs[0] == 1e6 and (costs[1:] < 1e5).all()
 
 

@@ -53,8 +53,7 @@ def test_of_a_cause_at_nearly_one_size_the_best_fit_is_kept() -> None:
         replace(coarse("detent", cost), size=size) for cost, size in ((1, 1.0), (2, 1.1), (3, 2))
     ]
     assert [fit.cost for fit in _unlike(fits)] == [1, 3]
-    other = replace(fits[1], mounted=False)
-    assert len(_unlike([fits[0], other])) == 2
+    assert len(_unlike([fits[0], replace(fits[1], mounted=False)])) == 2
 
 
 def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.MonkeyPatch) -> None:

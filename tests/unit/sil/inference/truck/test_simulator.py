@@ -33,11 +33,9 @@ def test_a_later_valve_is_a_later_motion(fitter: Fitter) -> None:
     # far more than the step within which the moves of the valves are kept
     rise, latency = positions(fitter.model, rise=0.0023), positions(fitter.model, latency=0.0023)
     usual = positions(fitter.model)
-    start = np.abs(usual - usual[:, :1]) > 1e-4
-    first = np.argmax(start, axis=1)
+    first = np.argmax(np.abs(usual - usual[:, :1]) > 1e-4, axis=1)
     rows = np.arange(len(usual))
-    late = np.abs(rise - usual)[rows, first]
-    assert (late > 1e-5).all()
+    assert (np.abs(rise - usual)[rows, first] > 1e-5).all()
     assert rise[rows, first] == pytest.approx(latency[rows, first], abs=1e-4)
 
 
