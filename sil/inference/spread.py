@@ -75,6 +75,8 @@ class Spread:
             # of the chambers' ends only healthy strokes say enough
             free = {"spring": any(springs), "wall_ends": calibrating}
             unit = {name: stated(parameters, name) for name in CYLINDER if free.get(name, True)}
+            if calibrating:  # a data sheet seldom states the valves' delays
+                unit |= {n: 3.0 * unit[n] for n in ("rise", "fall") if unit[n] == CYLINDER[n][0]}
         else:
             quantities = ("valve_delay", "flow", "volume")
             delay, flow, volume = (sd[f"unit_{name}_sd"] for name in quantities)
