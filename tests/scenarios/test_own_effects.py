@@ -57,6 +57,7 @@ def test_participants_in_processes_load_it(opc4, mine) -> None:
     assert len(hashes) == 1
 
 
+@pytest.mark.slow
 def test_a_study_sweeps_it_in_workers(opc4, mine, tmp_path) -> None:
     (tmp_path / "sticking.toml").write_text(STUDY, encoding="utf-8")
     for workers in ("1", "2"):

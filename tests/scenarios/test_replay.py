@@ -244,6 +244,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
         assert high < 1.1 * low
 
 
+@pytest.mark.slow
 def test_a_log_alone_says_what_is_missing_or_finds_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,6 +43,7 @@ def test_a_delay_that_hides_in_the_noise_and_changes_no_cause_is_a_finding(tmp_p
 
 
 @pytest.mark.parametrize("both", [False, True])
+@pytest.mark.slow
 def test_pressures_are_late_with_the_force_or_not(tmp_path, both) -> None:
     rng = np.random.default_rng(2)
     folder = rig(tmp_path / "a", head=PRESSED)
