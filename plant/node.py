@@ -51,6 +51,8 @@ from plant.trace import CMD, CURRENT, PULSE, SPEEDS, VALVE, TraceRows, TraceSink
 Released = list[tuple[int, Frame]]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
+DIRECTIONS = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}
+REFERRED = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
 
 
 EventSink = Callable[[float, str, Mapping[str, float]], None]
@@ -273,8 +275,7 @@ class PlantNode:
                 now_ns, line.input_rad_s, line.output_rad_s, line.ratio
             )
             if speeds is not None:
-                gears = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
-                message = DrivelineSpeeds(*speeds, gears[line.referred])
+                message = DrivelineSpeeds(*speeds, REFERRED[line.referred])
                 frames.append(self._protect_speeds.protect(message))
             updates.append((now_ns, SPEEDS, line.input_rad_s))
             updates.append((now_ns, SPEEDS + 1, line.output_rad_s))
@@ -300,9 +301,7 @@ class PlantNode:
 
     def _arm_synchronizer(self, now_ns: int) -> None:
         stroke = self.stroke
-        direction = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}.get(
-            self.driver.target, NO_GEAR
-        )
+        direction = DIRECTIONS.get(self.driver.target, NO_GEAR)
         impulse = self.driveline.advance(
             now_ns, stroke.position_m, stroke.spent_impulse_n_s, direction
         )

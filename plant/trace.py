@@ -14,9 +14,8 @@ from plant.parts.damper import steady_oil_pressure
 from plant.systems.length_stroke import LengthStroke
 
 Floats = NDArray[np.float64]
-Update = tuple[
-    int, int, float
-]  # instant in ns, column of the signals and currents, value from then on
+Update = tuple[int, int, float]
+"""Instant in ns, column among the signals and currents, value from then on."""
 
 STATES = (
     *("position_m", "velocity_m_s", "piston_1_m", "piston_2_m"),
@@ -33,13 +32,8 @@ TRACE_COLUMNS = (
 the coil, actual valve position, duration in the latest pulse report (0 before the first), and shaft
 speeds as last published. A row shows what has changed at its very instant."""
 
-CMD, VALVE, PULSE, SPEEDS, CURRENT = (
-    0,
-    3,
-    6,
-    7,
-    9,
-)  # where each group begins in the signals and currents
+CMD, VALVE, PULSE, SPEEDS, CURRENT = 0, 3, 6, 7, 9
+"""Where each group begins among the signals and currents."""
 
 
 def trace_columns(drive: Drive) -> tuple[str, ...]:

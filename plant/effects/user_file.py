@@ -35,7 +35,6 @@ from plant.parameters import load
 MARK = "@sha256:"
 """Separates a file's path from the hash of its content, where a run stores it."""
 
-
 _LOADED: dict[str, tuple[str, tuple[str, ...]]] = {}
 """Path of each loaded file -> hash of its content, and the effects in it."""
 
@@ -89,8 +88,8 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
         with exits_raise():
             exec(compile(text, file, "exec"), module.__dict__)
         shipped = set(map(id, catalogue.CATALOGUE.values()))
-        found = [item for item in vars(module).values() if isinstance(item, Effect)]
-        effects = tuple(guarded(item, file) for item in found if id(item) not in shipped)
+        stated = {id(item): item for item in vars(module).values() if isinstance(item, Effect)}
+        effects = tuple(guarded(item, file) for key, item in stated.items() if key not in shipped)
         if not effects:
             raise InputError(f"{file}: no effect; expected functions under @effect(...)")
         identifiers = set(catalogue.CATALOGUE)
@@ -134,7 +133,7 @@ def where_of(item: Effect, file: str) -> str:
 def described(error: BaseException, file: str, expected: str = "a Python file of effects") -> str:
     """Return an error of a user's file as FILE:LINE: what is wrong; expected ..."""
     if isinstance(error, SyntaxError):
-        return f"{file}:{error.lineno}: not valid Python: {error.msg}; expected a Python file of effects"
+        return f"{file}:{error.lineno}: not valid Python: {error.msg}; expected {expected}"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     said = " ".join(str(error).split())
     line = f":{frames[-1].lineno}" if frames else ""

@@ -138,6 +138,7 @@ def locate(t, h, high, dense, y, o, n_all):
     both are overwritten. The bracket's upper end becomes the crossing that is foreseen first, with bisection when it
     stalls.
     """
+    located_s = 1e-15  # no farther off it counts as located
     low = 0.0
     third = high
     before = 1.0
@@ -154,10 +155,10 @@ def locate(t, h, high, dense, y, o, n_all):
             if below[k] < 0.0:
                 start = max(above[k], 0.0)
                 theta = min(theta, root_fraction(low, high, third, start, below[k], older[k]))
-        if (high - theta) * h < 1e-15 or width * h < 1e-15:
+        if (high - theta) * h < located_s or width * h < located_s:
             break
         # just beyond the crossing, so that a good forecast is the last
-        theta = max(theta + 0.5 * 1e-15 / h, low + width * min(1e-3, 4.0 * width))
+        theta = max(theta + 0.5 * located_s / h, low + width * min(1e-3, 4.0 * width))
         if iteration % 3 == 2:
             if width > 0.1 * before:
                 theta = 0.5 * (low + high)

@@ -63,8 +63,9 @@ def outflow(difference_pa, area, c_d, rho):
     """Flow out of chamber two q = C_D A sqrt(2 dP / rho) [m^3/s] (3.28); laminar next to zero."""
     if difference_pa <= 0.0:
         return 0.0
-    if difference_pa < 10.0:  # laminar: the root's infinite slope ends there
-        return c_d * area * sqrt(2.0 * 10.0 / rho) * difference_pa / 10.0
+    laminar_pa = 10.0  # the root's infinite slope ends there
+    if difference_pa < laminar_pa:
+        return c_d * area * sqrt(2.0 * laminar_pa / rho) * difference_pa / laminar_pa
     return c_d * area * sqrt(2.0 * difference_pa / rho)
 
 

@@ -74,9 +74,10 @@ class Spread:
             springs = (parameters.value(f"cylinder.spring_{of}") for of in ("rate", "preload"))
             # of the chambers' ends only healthy strokes say enough
             free = {"spring": any(springs), "wall_ends": calibrating}
-            unit = {name: stated(parameters, name) for name in CYLINDER if free.get(name, True)}
-            if calibrating:  # a data sheet seldom states the valves' delays
-                unit |= {n: 3.0 * unit[n] for n in ("rise", "fall") if unit[n] == CYLINDER[n][0]}
+            # what a data sheet does not state of the valves' delays may be far off
+            wider = dict.fromkeys(("rise", "fall"), 3.0 if calibrating else 1.0)
+            names = [name for name in CYLINDER if free.get(name, True)]
+            unit = {name: stated(parameters, name, wider.get(name, 1.0)) for name in names}
         else:
             quantities = ("valve_delay", "flow", "volume")
             delay, flow, volume = (sd[f"unit_{name}_sd"] for name in quantities)
@@ -110,11 +111,11 @@ def posterior_root(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.cholesky(lower + np.tril(lower, -1).T))
 
 
-def stated(parameters: ParameterSet, name: str) -> float:
-    """Return the prior deviation of a quantity of a data sheet: by its `low` and `high`, else the usual one."""
+def stated(parameters: ParameterSet, name: str, wider: float = 1.0) -> float:
+    """Return the prior deviation of a quantity of a data sheet: by its `low` and `high`, else the usual one, `wider` times."""
     usual, path = CYLINDER[name]
     item = parameters.entries.get(path) or parameters.entries.get(path.replace("_c_", "_cda_"))
     if item is None or item.low is None or item.high is None:
-        return usual
+        return wider * usual
     width = item.high - item.low if path.startswith("valve.") else log(item.high / item.low)
     return width / 3.92

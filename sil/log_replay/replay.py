@@ -24,7 +24,7 @@ from sil.log_replay.options import ReplaySettings, find_settings, shipped_firmwa
 from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, ids_of_database
 from sil.log_replay.signals import Options
-from sil.log_replay.tick_grid import HEAD_FRAMES, Grid, Survey, make_grid, survey
+from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, Survey, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
 
@@ -242,7 +242,7 @@ def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
     elif log_head.bitrate is None and ready.own_run:
         log_head = log.survey(scene.bus.bitrate)
     period_ns = log_head.period_ns or ready.recorded_ns
-    if abs(period_ns - ready.recorded_ns) <= 1e-3 * period_ns:
+    if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
         period_ns = ready.recorded_ns
     if log_head.release_ns is None:
         raise InputError(

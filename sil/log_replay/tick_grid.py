@@ -41,6 +41,8 @@ HEAD_FRAMES: Final = 20_000
 
 BLOCKED_NS: Final = 1_200_000
 """No frame of 29 bits lasts longer than this at 125 kbit/s or above (160 bits)."""
+NOMINAL: Final = 1e-3
+"""Share of a nominal period by which a measured one differs that is the same."""
 
 
 class Survey(NamedTuple):
@@ -210,7 +212,7 @@ def _period(instants: Sequence[tuple[int, int]]) -> int | None:
     mean_ns = (instants[-1][1] - instants[0][1]) / max(periods, 1)
     for found_ns in (mean_ns, _mean_of_spans(instants)):
         nominal_ns = max(round((found_ns or 1.0) / 500_000), 1) * 500_000
-        if found_ns and abs(nominal_ns - found_ns) <= 1e-3 * nominal_ns:
+        if found_ns and abs(nominal_ns - found_ns) <= NOMINAL * nominal_ns:
             return nominal_ns  # clocks that drift apart, no odd period
     best = _rounded(mean_ns, 2 * jitter_ns / max(periods, 1))
     most = _on_grid(instants, best)

@@ -119,15 +119,17 @@ def _supply(recorded: RecordedShift) -> Input:
 
 def _pull(recorded: RecordedShift) -> Input:
     path, torque = "plant.pull_force_n", recorded.signals["engine_torque_share"]
+    free_n = 100.0  # without torque, as in the scenarios truck_*_easy
     cut = recorded.times_s["torque_cut"]
     if torque is None or cut is None:
-        return Input(path, 100.0, "default", "torque at the cut not known; teeth nearly free")
+        return Input(path, free_n, "default", "torque at the cut not known; teeth nearly free")
     at_cut = float(torque.values[np.searchsorted(torque.time_s, cut)])
-    # without torque as in the scenarios truck_*_easy; the teeth slide under the engine's torque
-    force = 100.0 + 0.1 * 2000.0 * abs(at_cut) / 0.06
+    # the teeth slide under the torque that the engine has left of its reference torque
+    friction, reference_n_m, radius_m = 0.1, 2000.0, 0.06
     return Input(
-        path, force, "derived",
-        f"100 N + 0.1 * {abs(at_cut):.0%} of 2000 N m / 0.06 m; torque at the cut from {torque.origin}",
+        path, free_n + friction * reference_n_m * abs(at_cut) / radius_m, "derived",
+        f"{free_n:g} N + {friction:g} * {abs(at_cut):.0%} of {reference_n_m:g} N m / {radius_m:g} m; "
+        f"torque at the cut from {torque.origin}",
     )  # fmt: skip
 
 

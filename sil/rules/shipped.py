@@ -213,11 +213,8 @@ def _early_refusal(record: RunRecord, circumstances: Circumstances) -> Broken:
             what = f"a push is given up after {at_s - pushed_s:.2f} s; its attempts last {least_s:.2f} s"
             return None if circumstances.disturbed else (at_s, what)
         timed_out = expired
-        if status.state not in (
-            *PUSHING,
-            ShiftState.BLOW,
-            ShiftState.VENT,
-        ):  # a push goes on after a blow in which the stay slipped
+        # a push goes on after a blow in which the stay slipped
+        if status.state not in (*PUSHING, ShiftState.BLOW, ShiftState.VENT):
             pushed_s = at_s
     return None
 

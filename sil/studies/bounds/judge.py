@@ -99,9 +99,8 @@ class Judge:
         self._rise_s = timing.rise_s + np.array([each.rise_s for each in scatter])
         self._fall_s = timing.fall_s + np.array([each.fall_s for each in scatter])
         self._plain_s, self._end_s = np.full(self.shape, 0.5), 0.5
-        self.plain = self.judge(
-            np.full((1, STEM_SIZE), -100.0), (), 1.0
-        )  # no pulse is longer than nothing
+        no_pulse = np.full((1, STEM_SIZE), -100.0)
+        self.plain = self.judge(no_pulse, (), 1.0)
         self._plain_s = self._plain_s + self.plain.late_s[0]
         self._end_s = float(self._plain_s.max()) + LATER_S
 
