@@ -77,11 +77,13 @@ def resolved(path: str | os.PathLike[str]) -> Path:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the value of a text in JSON. Raises ValueError, also where it is nested too deeply."""
+    """Return the value of a text in JSON. Raises ValueError, also if nested too deeply or with a lone surrogate."""
     try:
-        return json.loads(text)
+        value = json.loads(text)
+        json.dumps(value, ensure_ascii=False).encode()  # no file or picture can hold a surrogate
     except RecursionError:
         raise ValueError("nested too deeply") from None
+    return value
 
 
 class ProcessExit(BaseException):

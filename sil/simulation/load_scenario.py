@@ -100,7 +100,6 @@ def from_table(
         if path == "sensor.period_s" and f"controller.{path}" not in settings:
             _inside(raw, "controller", "sensor").pop("period_s", None)
     if settings:
-        typed_toml.refuse_not_finite(raw, "--set")
         scenario = _checked(raw, "--set")
         if scenario.firmware:
             raw["firmware"] = absolute(scenario.firmware, Path())
@@ -145,6 +144,7 @@ def _checked(raw: dict[str, Any], source: str) -> Scenario:
     if isinstance(model := raw.get("model"), dict):
         raw["model"] = without_units(dict(_flat(model, source, "")), source, unit_of_path)
     raw.update(without_units(raw, source))
+    typed_toml.refuse_not_finite(raw, source)
     scenario = typed_toml.convert(raw, Scenario, source)
     if "period_s" in raw.get("sensor", {}):
         _inside(raw, "controller", "sensor").setdefault("period_s", raw["sensor"]["period_s"])

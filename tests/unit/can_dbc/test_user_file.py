@@ -55,10 +55,12 @@ def test_size_and_encoding_are_bounded(tmp_path: Path) -> None:
         read_user_text(path, "TOML")
 
 
-def test_json_that_is_nested_too_deeply_is_a_value_error() -> None:
+def test_json_that_nothing_can_hold_is_a_value_error() -> None:
     assert parse_json('{"a": [1]}') == {"a": [1]}
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json("[" * 100_000)
+    with pytest.raises(ValueError, match="surrogates not allowed"):
+        parse_json(r'["\ud800"]')
 
 
 def test_links_are_followed_as_far_as_they_lead(tmp_path: Path) -> None:

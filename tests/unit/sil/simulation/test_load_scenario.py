@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -252,6 +253,16 @@ def test_every_settable_path_of_a_scenario_can_be_set_to_what_it_is(name: str) -
             at = at[int(step)] if isinstance(at, list) else at.get(step)
         assert overrides.set_value(raw, Scenario, path, at), path
         assert raw == before, path
+
+
+def test_a_limit_that_is_no_number_is_refused_in_a_result_and_a_table(tmp_path: Path) -> None:
+    table = tomllib.loads(GOOD) | {"expect": {"metrics": {"shift_time_s": {"max": float("nan")}}}}
+    (tmp_path / "result.json").write_text(json.dumps({"scenario": table}))
+    complaint = r"expect\.metrics\.shift_time_s\.max: nan is wrong; expected a finite number"
+    with pytest.raises(InputError, match=complaint):
+        load_scenario.load(str(tmp_path / "result.json"))
+    with pytest.raises(InputError, match=f"^x: {complaint}"):
+        from_table(table, "x")
 
 
 # --- files mutated at random ---------------------------------------------------------------------
