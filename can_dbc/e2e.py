@@ -10,15 +10,14 @@ a timeout in simulated time, and a SYNC frame, whose sequence is not confirmed y
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from e2e.p02 import e2e_p02_check, e2e_p02_protect
 
 from can_dbc.codec import decode, encode, spec_of
-from can_dbc.errors import CodecError, InputError
+from can_dbc.errors import CodecError
 from can_dbc.frame import Frame
 from can_dbc.messages import SIGNALS, E2eState
 
@@ -47,57 +46,6 @@ class E2eStatus(Enum):
 
 ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
 """Frames whose content is accepted."""
-
-
-@dataclass(frozen=True, slots=True)
-class E2eConfig:
-    """Tolerance of a receiver; names as in AUTOSAR.
-
-    `timeout_ns`: time without a valid frame after which the channel is INVALID.
-    `max_delta_counter_init`: one less than the largest counter step accepted directly after a
-    good frame; each check that does not accept a frame allows one step more.
-    `max_no_new_or_repeated`: repetitions after which the sequence must be confirmed anew, by
-    `sync_counter_init` frames.
-    The window holds the latest `window_size` checks; the number of OK and of ERROR among them
-    decides when a channel in each state becomes (or stays) VALID.
-    Raises InputError for limits that contradict each other.
-    """
-
-    timeout_ns: int
-    max_delta_counter_init: int = 2
-    max_no_new_or_repeated: int = 3
-    sync_counter_init: int = 1
-    window_size: int = 3
-    min_ok_state_init: int = 1
-    max_error_state_init: int = 1
-    min_ok_state_valid: int = 1
-    max_error_state_valid: int = 1
-    min_ok_state_invalid: int = 2
-    max_error_state_invalid: int = 0
-
-    def __post_init__(self) -> None:
-        largest = {
-            "timeout_ns": (1, 2**63 - 1),
-            "max_delta_counter_init": (1, COUNTERS - 2),
-            "max_no_new_or_repeated": (0, COUNTERS - 1),
-            "sync_counter_init": (0, COUNTERS - 1),
-            "window_size": (1, 255),
-            "min_ok_state_init": (1, self.window_size),
-            "max_error_state_init": (0, self.window_size - 1),
-            "min_ok_state_valid": (1, min(self.min_ok_state_init, self.min_ok_state_invalid)),
-            "min_ok_state_invalid": (1, self.window_size),
-            "max_error_state_invalid": (0, self.window_size - 1),
-            "max_error_state_valid": (self.max_error_state_invalid, self.window_size - 1),
-        }
-        for name, (low, high) in largest.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"E2E: {name}: {value}; expected {low} to {high}")
-
-
-def default_config(message_type: type) -> E2eConfig:
-    """Return the usual tolerance of a receiver: a timeout of 3 cycles of the DBC."""
-    return E2eConfig(timeout_ns=3 * spec_of(message_type).cycle_ns)
 
 
 def _data_ids(message_type: type) -> bytes:
@@ -164,14 +112,21 @@ class Receiver(Generic[M]):
 
     `message` is that of the latest frame with status OK or OK_SOME_LOST, `message_ns` its arrival: use them only while
     `state(now_ns)` is VALID. `counts` counts each status, `reason` says what was wrong with the latest frame of status
-    ERROR. Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
+    ERROR. `timeout_ns`: time without a good frame after which the channel is INVALID, 3 cycles of the DBC if left out.
+    Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
     """
 
+    max_delta_counter = 2  # one less than the largest counter step right after a good frame; each check allows one more
+    max_repeated = 3  # after more repetitions the sequence must be confirmed by one frame
+    window_size = 3  # latest checks that decide on the state
+    # least good and most wrong checks among them, with which a channel of this state becomes or stays VALID
+    limits: ClassVar = {E2eState.INIT: (1, 1), E2eState.VALID: (1, 1), E2eState.INVALID: (2, 0)}
+
     def __init__(
-        self, message_type: type[M], config: E2eConfig | None = None, start_ns: int = 0
+        self, message_type: type[M], timeout_ns: int | None = None, start_ns: int = 0
     ) -> None:
         self.message_type = message_type
-        self.config = config or default_config(message_type)
+        self.timeout_ns = timeout_ns or 3 * spec_of(message_type).cycle_ns
         self.status = E2eStatus.NO_NEW_DATA
         self.message: M | None = None
         self.message_ns = -1
@@ -179,24 +134,21 @@ class Receiver(Generic[M]):
         self.reason = ""
         _data_ids(message_type)  # refuses a message without protection
         self._state = E2eState.INIT
-        self._window: deque[E2eStatus] = deque(maxlen=self.config.window_size)
+        self._window: deque[E2eStatus] = deque(maxlen=self.window_size)
         self._alive_ns = self._now_ns = start_ns
         self._waiting_for_first = True
         self._last_counter = 0
         self._max_delta = 0
-        self._no_new_or_repeated = 0
-        self._sync = 0
+        self._repeated = 0
+        self._unconfirmed = False
 
     def wait_from(self, now_ns: int) -> None:
         """Count the timeout from now on, if no good frame has come yet."""
         if self._waiting_for_first:
             self._alive_ns = now_ns
 
-    def receive(self, now_ns: int, frame: Frame | None) -> E2eStatus:
-        """Check the frame that arrived now, or None if one was due and none came.
-
-        Raises ValueError for a frame of another identifier and for time running backwards.
-        """
+    def receive(self, now_ns: int, frame: Frame) -> E2eStatus:
+        """Check the frame that arrived now. Raises ValueError for another identifier and for time running backwards."""
         self._advance_to(now_ns)
         if self._max_delta < COUNTERS - 1:
             self._max_delta += 1
@@ -216,15 +168,12 @@ class Receiver(Generic[M]):
         if now_ns < self._now_ns:
             raise ValueError(f"time runs backwards: {now_ns} ns after {self._now_ns} ns")
         self._now_ns = now_ns
-        if now_ns - self._alive_ns > self.config.timeout_ns:
+        if now_ns - self._alive_ns > self.timeout_ns:
             self._state = E2eState.INVALID
             self._window.clear()
 
-    def _check(self, now_ns: int, frame: Frame | None) -> E2eStatus:
+    def _check(self, now_ns: int, frame: Frame) -> E2eStatus:
         """E2E_P02Check; a frame with a right CRC that the codec refuses is an ERROR too."""
-        if frame is None:
-            self._count_no_new_or_repeated()
-            return E2eStatus.NO_NEW_DATA
         message = _opened(self.message_type, frame)  # type: ignore[arg-type]  # a class has a hash
         if isinstance(message, str):
             self.reason = message
@@ -242,51 +191,36 @@ class Receiver(Generic[M]):
             self._accept(counter)
             return E2eStatus.INITIAL
         if delta == 0:
-            self._count_no_new_or_repeated()
+            self._repeated += 1
             return E2eStatus.REPEATED
-        if delta > self._max_delta:
-            self._no_new_or_repeated = 0
-            self._sync = self.config.sync_counter_init
-            if self._sync:
-                self._accept(counter)
-            return E2eStatus.WRONG_SEQUENCE
+        repeated, self._repeated = self._repeated, 0
+        is_jump = delta > self._max_delta
         self._accept(counter)
-        interrupted = self._no_new_or_repeated > self.config.max_no_new_or_repeated
-        self._no_new_or_repeated = 0
-        if interrupted:
-            self._sync = self.config.sync_counter_init
+        if is_jump:
+            self._unconfirmed = True
+            return E2eStatus.WRONG_SEQUENCE
+        if repeated > self.max_repeated:
+            self._unconfirmed = True
             return E2eStatus.SYNC
-        if self._sync:
-            self._sync -= 1
+        if self._unconfirmed:
+            self._unconfirmed = False
             return E2eStatus.SYNC
         return E2eStatus.OK if delta == 1 else E2eStatus.OK_SOME_LOST
 
     def _accept(self, counter: int) -> None:
         self._last_counter = counter
-        self._max_delta = self.config.max_delta_counter_init
-
-    def _count_no_new_or_repeated(self) -> None:
-        if self._no_new_or_repeated < COUNTERS - 1:
-            self._no_new_or_repeated += 1
+        self._max_delta = self.max_delta_counter
 
     def _decide(self, status: E2eStatus) -> None:
         """E2E_SMCheck with the latest `window_size` checks."""
-        nothing_heard = self._waiting_for_first and self._state is E2eState.INIT
-        if nothing_heard and status in (E2eStatus.ERROR, E2eStatus.NO_NEW_DATA):
+        if self._waiting_for_first and self._state is E2eState.INIT:  # nothing but errors so far
             return
-        self._window.append(status)
-        window, c = self._window, self.config
-        if self._state is E2eState.VALID and window.count(E2eStatus.OK) == len(window):
-            return  # nothing but good frames: valid stays valid, whatever the tolerance
-        ok = sum(status in ACCEPTED for status in window)
+        window = self._window
+        window.append(status)
+        ok = window.count(E2eStatus.OK) + window.count(E2eStatus.OK_SOME_LOST)
         errors = window.count(E2eStatus.ERROR)
-        if self._state is E2eState.VALID:
-            if ok < c.min_ok_state_valid or errors > c.max_error_state_valid:
-                self._state = E2eState.INVALID
-        elif self._state is E2eState.INIT:
-            if errors > c.max_error_state_init:
-                self._state = E2eState.INVALID
-            elif ok >= c.min_ok_state_init:
-                self._state = E2eState.VALID
-        elif ok >= c.min_ok_state_invalid and errors <= c.max_error_state_invalid:
+        least_ok, most_errors = self.limits[self._state]
+        if ok >= least_ok and errors <= most_errors:
             self._state = E2eState.VALID
+        elif self._state is E2eState.VALID or errors > most_errors:
+            self._state = E2eState.INVALID

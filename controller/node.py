@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 from can_dbc import messages
 from can_dbc.codec import can_id_of, encode
-from can_dbc.e2e import ACCEPTED, E2eConfig, Protector, Receiver
+from can_dbc.e2e import ACCEPTED, Protector, Receiver
 from can_dbc.frame import Frame
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs, Outputs
@@ -93,9 +93,9 @@ class ControllerNode(TickingNode):
         self.outputs: Outputs | None = None
         """Answer of the latest step."""
         e2e = config.e2e
-        self.pulses = _receiver(messages.PositionPulse, e2e.position_timeout_s)
-        self.requests = _receiver(messages.ShiftRequest, e2e.request_timeout_s)
-        self.speeds = _receiver(messages.DrivelineSpeeds, e2e.speeds_timeout_s)
+        self.pulses = Receiver(messages.PositionPulse, nanoseconds(e2e.position_timeout_s))
+        self.requests = Receiver(messages.ShiftRequest, nanoseconds(e2e.request_timeout_s))
+        self.speeds = Receiver(messages.DrivelineSpeeds, nanoseconds(e2e.speeds_timeout_s))
         receivers = (self.pulses, self.requests, self.speeds)
         self._receivers = {can_id_of(receiver.message_type): receiver for receiver in receivers}
         self._protect_valves = Protector(messages.ValveCommand)
@@ -136,7 +136,3 @@ class ControllerNode(TickingNode):
         ]
         frames += [encode(message) for message in (out.etc1, out.etc2) if message is not None]
         return frames
-
-
-def _receiver(message_type: type[Any], timeout_s: float) -> Receiver[Any]:
-    return Receiver(message_type, E2eConfig(timeout_ns=nanoseconds(timeout_s)))

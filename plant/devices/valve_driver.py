@@ -8,7 +8,7 @@ from typing import Annotated, Generic, TypeVar
 import msgspec
 
 from can_dbc import codec
-from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
+from can_dbc.e2e import ACCEPTED, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import Chamber, E2eState, Gear, SafetyBlow, ValveCommand
 from plant.devices.valve import NEVER_NS, seconds_to_ns
@@ -46,7 +46,7 @@ class _Channel(Generic[Input]):
     def __init__(self, message_type: type[Input], timeout_ns: int) -> None:
         self.can_id = codec.can_id_of(message_type)
         self._timeout_ns = timeout_ns
-        self.receiver: Receiver[Input] = Receiver(message_type, E2eConfig(timeout_ns=timeout_ns))
+        self.receiver: Receiver[Input] = Receiver(message_type, timeout_ns)
 
     @property
     def end_ns(self) -> int | None:

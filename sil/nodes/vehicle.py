@@ -19,7 +19,7 @@ import msgspec
 from msgspec import Meta
 
 from can_dbc.codec import can_id_of, encode
-from can_dbc.e2e import E2eConfig, Protector, Receiver
+from can_dbc.e2e import Protector, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import (
     Air1,
@@ -102,9 +102,9 @@ class VehicleNode(Node):
         }
         self._ratios = {Gear.BACKWARD: config.ratio_backward, Gear.FORWARD: config.ratio_forward}
         self._air = Air1(max(0.0, supply_pressure_pa - 101_325.0))  # above the atmosphere
-        stale = E2eConfig(timeout_ns=50_000_000)
-        self._status = Receiver(ControllerStatus, stale)
-        self._speeds = Receiver(DrivelineSpeeds, stale)
+        stale_ns = 50_000_000
+        self._status = Receiver(ControllerStatus, stale_ns)
+        self._speeds = Receiver(DrivelineSpeeds, stale_ns)
         self._receivers: dict[int, Receiver[Any]] = {
             can_id_of(r.message_type): r for r in (self._status, self._speeds)
         }

@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
+from can_dbc.e2e import ACCEPTED, Receiver
 from can_dbc.instants import NS_PER_S
 from can_dbc.messages import (
     ControllerStatus,
@@ -76,7 +76,7 @@ def _each_step(
     begins = [round(report.released_ns - computation_ns) for report in reports]
     start_ns = min(begins[:1] + [frame.arrival_ns for frame in frames[:1]], default=0)
     # counts from the firmware's first step
-    channel = Receiver(kind, E2eConfig(timeout_ns), max(start_ns, 0))
+    channel = Receiver(kind, timeout_ns, max(start_ns, 0))
     # the record may be a piece of a run: until frames have followed each other
     valid_s = _begin_s(record) + 0.05
     taken = 0

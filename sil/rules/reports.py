@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import ACCEPTED, E2eConfig, Receiver
+from can_dbc.e2e import ACCEPTED, Receiver
 from can_dbc.instants import NS_PER_S
 from can_dbc.messages import ControllerStatus, E2eState, Gear
 from controller.settings import WindowConfig
@@ -31,7 +31,7 @@ def accepted(record: RunRecord, kind: Any) -> list[tuple[BusFrame, Any]]:
     """Return the frames that pass end-to-end protection; None as message where it turns invalid."""
     if kind in record.derived:
         return cast("list[tuple[BusFrame, Any]]", record.derived[kind])
-    receiver = Receiver(kind, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
+    receiver = Receiver(kind, round(REPORT_HOLDS_S * NS_PER_S))
     messages: list[tuple[BusFrame, Any]] = []
     for entry in record.frames_of(can_id_of(kind)):
         status = receiver.receive(entry.arrival_ns, entry.frame)

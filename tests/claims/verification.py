@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.kernel.layout import LengthState, Parameters
-from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from plant.systems.stroke import Stroke
 from tests.claims.claim import GIVEN, PARTLY, Outcome, judged
@@ -23,6 +22,7 @@ from tests.claims.strokes import (
     run,
     value,
 )
+from tests.support.driven import pressures_along
 
 WINDOW_S = 0.2
 

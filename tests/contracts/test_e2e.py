@@ -13,11 +13,9 @@ from can_dbc import messages as m
 from can_dbc.codec import can_id_of, decode, encode, spec_of
 from can_dbc.e2e import (
     PROTECTED,
-    E2eConfig,
     E2eStatus,
     Protector,
     Receiver,
-    default_config,
     with_counter,
 )
 from can_dbc.frame import Frame
@@ -159,7 +157,7 @@ def test_only_protected_messages_have_channels() -> None:
 
 
 # One step of a disturbed channel; the sender sends one frame in each.
-SEND, LOSE, REPEAT, CORRUPT, MASQUERADE, INSERT, SILENCE, JUMP = range(8)
+SEND, LOSE, REPEAT, CORRUPT, MASQUERADE, INSERT, JUMP = range(7)
 
 
 @given(
@@ -173,7 +171,7 @@ def test_whatever_happens_to_a_channel(steps: list[int], bits: list[int]) -> Non
     cycle_ns = 10 * MS
     protector, stranger = Protector(message_type), Protector(m.SafetyBlow)
     receiver = Receiver(message_type)
-    timeout_ns = default_config(message_type).timeout_ns
+    timeout_ns = receiver.timeout_ns
     sent: list[m.ValveCommand] = []
     latest = protector.protect(m.ValveCommand(0.5, 0.0, 0.0, m.Gear.NEUTRAL))
     heard = False
@@ -203,9 +201,7 @@ def test_whatever_happens_to_a_channel(steps: list[int], bits: list[int]) -> Non
             foreign = stranger.protect(m.SafetyBlow(m.Chamber.B, True, 0.1))
             status = receiver.receive(now_ns, Frame(latest.can_id, foreign.data))
             assert status is E2eStatus.ERROR
-        elif step == SILENCE:
-            assert receiver.receive(now_ns, None) is E2eStatus.NO_NEW_DATA
-        if step in (CORRUPT, MASQUERADE, INSERT, SILENCE, LOSE):
+        if step in (CORRUPT, MASQUERADE, INSERT, LOSE):
             assert receiver.message is before
         if receiver.message is not None:
             assert receiver.message in sent
@@ -221,8 +217,8 @@ def test_whatever_happens_to_a_channel(steps: list[int], bits: list[int]) -> Non
     assert receiver.state(now_ns + timeout_ns + 1) is E2eState.INVALID
 
 
-def test_config_of_the_receiver_is_used() -> None:
-    receiver = Receiver(m.ShiftRequest, E2eConfig(timeout_ns=5), start_ns=100)
+def test_timeout_of_a_receiver() -> None:
+    receiver = Receiver(m.ShiftRequest, 5, start_ns=100)
     assert receiver.state(105) is E2eState.INIT and receiver.state(106) is E2eState.INVALID
-    assert default_config(m.ShiftRequest).timeout_ns == 60 * MS
-    assert default_config(m.PositionPulse).timeout_ns == 30 * MS
+    assert Receiver(m.ShiftRequest).timeout_ns == 60 * MS
+    assert Receiver(m.PositionPulse).timeout_ns == 30 * MS

@@ -9,10 +9,10 @@ from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.kernel.layout import FIXED, LENGTH, FixedState, LengthState, Parameters
 from plant.parameters import load
-from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from plant.systems.stroke import Stroke, run_setup
 from tests.physics.bare import SMOOTH, Bare
+from tests.support.driven import pressures_along
 
 SHUT = {Parameters.k_in: 0.0, Parameters.k_out: 0.0}
 

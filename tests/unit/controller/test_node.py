@@ -199,8 +199,8 @@ def test_receivers_have_the_configured_timeouts() -> None:
         e2e=E2eConfig(position_timeout_s=0.061, request_timeout_s=0.072, speeds_timeout_s=0.083)
     )
     node = ControllerNode(config)
-    assert node.pulses.config.timeout_ns == 61 * MS and node.requests.config.timeout_ns == 72 * MS
-    assert node.speeds.config.timeout_ns == 83 * MS
+    assert node.pulses.timeout_ns == 61 * MS and node.requests.timeout_ns == 72 * MS
+    assert node.speeds.timeout_ns == 83 * MS
 
 
 @pytest.mark.parametrize(

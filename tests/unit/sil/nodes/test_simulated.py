@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import E2eConfig, Protector, Receiver
+from can_dbc.e2e import Protector, Receiver
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame, split_id
 from can_dbc.messages import E2eState, Gear, ShiftRequest
@@ -142,7 +142,7 @@ def test_frames_go_out_on_schedule_and_carry_the_gear_asked_for() -> None:
     schedule = [(35 * MS, Gear.BACKWARD), (60 * MS, Gear.FORWARD)]
     frames = sent_by(DriverNode(Gear.NEUTRAL, schedule, 20 * MS, 5 * MS), 90)
     assert [at // MS for at, _ in frames] == [5, 25, 45, 65, 85]
-    receiver = Receiver(ShiftRequest, E2eConfig(timeout_ns=100 * MS))
+    receiver = Receiver(ShiftRequest, 100 * MS)
     gears = []
     for at, frame in frames:
         receiver.receive(at, frame)
