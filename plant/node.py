@@ -63,7 +63,6 @@ class PlantConfig(Conditions, frozen=True, forbid_unknown_fields=True, kw_only=T
     """The actuator's conditions and the schedule of its frames; the numbers are in the model set.
 
     initial: gear at time 0; the valves of chambers charged then are open but no longer energised.
-    broadcast_phase_s: of the speeds and of the truth, left out together with the pulse report.
     trace_period_s: of the trace rows, None for none. seed: of the sensor's noise and of the faults.
     """
 
@@ -76,7 +75,6 @@ class PlantConfig(Conditions, frozen=True, forbid_unknown_fields=True, kw_only=T
     temperature_faults: tuple[TemperatureFault, ...] = ()
     speed_faults: tuple[SpeedFault, ...] = ()
     valve_faults: tuple[ValveFault, ...] = ()
-    broadcast_phase_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] | None = 0.001
     seed: Annotated[int, Meta(ge=0)] = 0
 
@@ -171,11 +169,7 @@ class PlantNode:
             self.stroke.position_m,
             has_synchronizer=config.mounted,
         )
-        phase_ns = (
-            self.circuit.next_report_ns
-            if config.broadcast_phase_s is None
-            else seconds_to_ns(config.broadcast_phase_s)
-        )
+        phase_ns = self.circuit.next_report_ns
         self._speeds = _Cycle(seconds_to_ns(config.speeds_period_s), phase_ns)
         self._truth = _Cycle(seconds_to_ns(config.truth_period_s), phase_ns)
         self._rows = TraceRows(

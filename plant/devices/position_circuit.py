@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import msgspec
@@ -76,6 +75,14 @@ class SensorFault(FaultWindow, frozen=True, kw_only=True):
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
     """Probability that a report is missing."""
 
+    def wrong(self, pulse_s: float) -> float:
+        """Return the duration of a wrong sensor [s]."""
+        return pulse_s + self.offset_s
+
+    def garbage(self, generator: Generator) -> float:
+        """Draw a duration [s]."""
+        return float(generator.uniform(0.0, self.garbage_s))
+
 
 class Reading(NamedTuple):
     """One report: pulse duration [s], coil temperature [K], number of the pulse modulo 256."""
@@ -115,12 +122,7 @@ class PositionCircuit:
         self._noise_sd_s = config.noise_sd_s
         self._noise = named_generator(seed, "position sensor", "noise")
         self._faults = [
-            ActiveFault(
-                fault,
-                named_generator(seed, "position sensor", i),
-                partial(offset_pulse_s, sensor.tick_s, fault.offset_s),
-                partial(garbage_pulse_s, sensor.tick_s, fault.garbage_s),
-            )
+            ActiveFault(fault, named_generator(seed, "position sensor", i), sensor.counted_s)
             for i, fault in enumerate(faults)
         ]
         self.period_ns = seconds_to_ns(config.period_s)
@@ -159,13 +161,3 @@ class PositionCircuit:
         """Report due at `next_report_ns`, None when a fault swallows it; moves on to the next."""
         self.next_report_ns += self.period_ns
         return self._waiting.popleft()
-
-
-def offset_pulse_s(tick_s: float, offset_s: float, pulse_s: float) -> float:
-    """Return a pulse [s] that is wrong by offset_s, in whole ticks."""
-    return max(0, round((pulse_s + offset_s) / tick_s)) * tick_s
-
-
-def garbage_pulse_s(tick_s: float, longest_s: float, generator: Generator) -> float:
-    """Draw a pulse [s], in whole ticks."""
-    return offset_pulse_s(tick_s, 0.0, float(generator.uniform(0.0, longest_s)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,7 +72,10 @@ class InductiveSensor:
     def pulse_s(self, position_m: float, temperature_k: float, noise_s: float = 0.0) -> float:
         """Pulse duration [s] as the timer counts it, `noise_s` added before it does."""
         cold = self.t_mid_s + self.slope_s_m * position_m
-        duration_s = cold * self._warmth(temperature_k) + noise_s
+        return self.counted_s(cold * self._warmth(temperature_k) + noise_s)
+
+    def counted_s(self, duration_s: float) -> float:
+        """Duration [s] as the timer counts it."""
         return max(0, round(duration_s / self.tick_s)) * self.tick_s
 
     def position_m(self, pulse_s: ArrayLike, temperature_k: float) -> Floats:
@@ -88,12 +92,11 @@ class InductiveSensor:
         return 1.0 + self.temp_coeff_1_k * (temperature_k - self.t_ref_k)
 
 
-def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats:
-    """Second-order sections [n, 5] (b0 b1 b2 a1 a2) of a digital Butterworth low-pass filter, of unit gain at rest.
+@lru_cache(maxsize=64)
+def _butterworth(order: int, cutoff_hz: float, rate_hz: float) -> tuple[Floats, Floats]:
+    """Return second-order sections and their state at rest under 1."""
+    from scipy.signal import butter, sosfilt_zi
 
-    H(s) = prod 1/(s - p_k), p_k = exp(j pi (2k + n + 1)/(2n)), by the bilinear transform, prewarped; an odd order ends
-    with one of first order. Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
-    """
     if not 1 <= order <= 12:
         raise InputError(f"position_sensor.butter_order: {order}; expected 1 to 12, or 0 for none")
     if not 0.0 < cutoff_hz < 0.5 * rate_hz:
@@ -101,34 +104,19 @@ def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats
             f"position_sensor.butter_fc: {cutoff_hz:g}; expected above 0 and below "
             f"{0.5 * rate_hz:g} Hz, half the sample rate"
         )
-    w = np.tan(np.pi * cutoff_hz / rate_hz)
-    k = np.arange(order // 2)
-    damping = 2.0 * np.sin(np.pi * (2 * k + 1) / (2 * order))  # s^2 + damping s + 1
-    a0 = 1.0 + damping * w + w * w
-    b0 = w * w / a0
-    a1 = 2.0 * (w * w - 1.0) / a0
-    a2 = (1.0 - damping * w + w * w) / a0
-    sections = np.stack([b0, 2.0 * b0, b0, a1, a2], axis=1)
-    if order % 2:
-        b0 = w / (1.0 + w)
-        sections = np.vstack([sections, [b0, b0, 0.0, (w - 1.0) / (w + 1.0), 0.0]])
-    return sections
+    sections = butter(order, cutoff_hz, fs=rate_hz, output="sos")
+    return sections, sosfilt_zi(sections)
 
 
-def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
-    """Filter samples [n] through second-order sections [m, 5] that were settled at the first one."""
-    signal = samples.astype(np.float64, copy=True)
-    for b0, b1, b2, a1, a2 in sections:
-        rest = signal[0]
-        z2 = (b2 - a2) * rest
-        z1 = (b1 - a1) * rest + z2
-        for i in range(len(signal)):
-            sample = signal[i]
-            out = b0 * sample + z1
-            z1 = b1 * sample - a1 * out + z2
-            z2 = b2 * sample - a2 * out
-            signal[i] = out
-    return signal
+def low_passed(samples: Floats, order: int, cutoff_hz: float, rate_hz: float) -> Floats:
+    """Filter samples [n] by a Butterworth low-pass that was settled at the first one.
+
+    Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
+    """
+    from scipy.signal import sosfilt
+
+    sections, at_rest = _butterworth(order, cutoff_hz, rate_hz)
+    return np.asarray(sosfilt(sections, samples, zi=at_rest * samples[0])[0])
 
 
 @dataclass(frozen=True)
@@ -196,8 +184,7 @@ class InternalChain:
         values = self.calibration.position_m(pulse_s, self.measured_temperature_k)
         if self.filter_order:
             rate_hz = 1.0 / self.period_s
-            sections = butterworth_sections(self.filter_order, self.cutoff_hz, rate_hz)
-            values = filter_from_rest(sections, values)
+            values = low_passed(values, self.filter_order, self.cutoff_hz, rate_hz)
         published_s = tick_s + self.latency_s + pulse_s
         index = np.searchsorted(published_s, time_s, side="right") - 1
         return np.asarray(values[np.maximum(index, 0)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
@@ -49,6 +48,14 @@ class TemperatureFault(FaultWindow, frozen=True, kw_only=True):
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
     """Probability that the line is broken."""
 
+    def wrong(self, temperature_k: float) -> float:
+        """Return what a wrong thermometer reads [K]."""
+        return self.offset_k + temperature_k
+
+    def garbage(self, generator: Generator) -> float:
+        """Draw a temperature [K]."""
+        return float(generator.uniform(200.0, 450.0))
+
 
 class SpeedFault(FaultWindow, frozen=True, kw_only=True):
     """A failure of the shaft speed measurement.
@@ -71,20 +78,25 @@ class SpeedFault(FaultWindow, frozen=True, kw_only=True):
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
     """Probability that a report is missing."""
 
+    def wrong(self, speeds: Speeds) -> Speeds:
+        """Return the speeds [rad/s] of a wrong input sensor."""
+        return speeds[0] + self.offset_rad_s, speeds[1]
+
+    def garbage(self, generator: Generator) -> Speeds:
+        """Draw two speeds [rad/s]."""
+        drawn = generator.uniform(0.0, self.garbage_rad_s, 2)
+        return float(drawn[0]), float(drawn[1])
+
 
 class ActiveFault(Generic[Report]):
-    """A fault of reports with its memory; `wrong`: what it makes of a report; `garbage`: draws one."""
+    """A fault of reports with its memory; `counted`: what the circuit makes of a wrong value."""
 
     def __init__(
-        self,
-        fault: Any,
-        generator: Generator,
-        wrong: Callable[[Report], Report],
-        garbage: Callable[[Generator], Report],
+        self, fault: Any, generator: Generator, counted: Callable[[Report], Report] = lambda x: x
     ) -> None:
         self.fault = fault
         self._generator = generator
-        self._wrong, self._garbage = wrong, garbage
+        self._counted = counted
         self._stuck: Report | None = None
         self._count = 0
         self._past: deque[Report] = deque(maxlen=getattr(fault, "late", 0) + 1)
@@ -100,9 +112,9 @@ class ActiveFault(Generic[Report]):
                     self._stuck = report if stuck is None else stuck
                 return self._stuck
             case "wrong":
-                return self._wrong(report)
+                return self._counted(fault.wrong(report))
             case "garbage":
-                return self._garbage(self._generator)
+                return self._counted(fault.garbage(self._generator))
             case "slow":
                 number, self._count = self._count, self._count + 1
                 return report if number % fault.every == 0 else None
@@ -119,12 +131,7 @@ class Thermometer:
 
     def __init__(self, faults: Sequence[TemperatureFault], seed: int) -> None:
         self._faults = [
-            ActiveFault[float](
-                fault,
-                named_generator(seed, "thermometer", i),
-                partial(warmed, fault.offset_k),
-                garbage_k,
-            )
+            ActiveFault[float](fault, named_generator(seed, "thermometer", i))
             for i, fault in enumerate(faults)
         ]
 
@@ -145,12 +152,7 @@ class SpeedSensors:
         """`wheels`: of input and output shaft; if left out, the speeds are exact."""
         self._wheels = wheels
         self._faults = [
-            ActiveFault(
-                fault,
-                named_generator(seed, "shaft speeds", i),
-                partial(offset_input, fault.offset_rad_s),
-                partial(garbage_speeds, fault.garbage_rad_s),
-            )
+            ActiveFault[Speeds](fault, named_generator(seed, "shaft speeds", i))
             for i, fault in enumerate(faults)
         ]
 
@@ -169,27 +171,6 @@ class SpeedSensors:
         if speeds is None or not self._faults:
             return speeds
         return _in_range(speeds[0]), _in_range(speeds[1])
-
-
-def warmed(offset_k: float, temperature_k: float) -> float:
-    """Return a temperature [K] that reads offset_k too much."""
-    return offset_k + temperature_k
-
-
-def garbage_k(generator: Generator) -> float:
-    """Draw a temperature [K]."""
-    return float(generator.uniform(200.0, 450.0))
-
-
-def offset_input(offset_rad_s: float, speeds: Speeds) -> Speeds:
-    """Return the speeds [rad/s], that of the input wrong by offset_rad_s."""
-    return speeds[0] + offset_rad_s, speeds[1]
-
-
-def garbage_speeds(highest_rad_s: float, generator: Generator) -> Speeds:
-    """Draw two speeds [rad/s]."""
-    drawn = generator.uniform(0.0, highest_rad_s, 2)
-    return float(drawn[0]), float(drawn[1])
 
 
 def _in_range(speed_rad_s: float) -> float:

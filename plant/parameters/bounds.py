@@ -40,6 +40,11 @@ BY_PATH = {
     "damper.air_fraction": (0.0, 1.0),
     "spring_test.x0": (-1e3, 1e3),
     "gauge.adc_bits": (1.0, 64.0),
+    "cylinder.valve_b": (0.0, 0.9),
+    "cylinder.wall_heat": (0.0, 1e6),
+    "cylinder.wall_density": (0.0, 2.0),
+    "cylinder.wall_ends": (0.0, 10.0),
+    "cylinder.kappa": (1.0, 1.7),
     "position_sensor.t_mid": (0.0, 10.0),
     "position_sensor.slope": (-1e3, 1e3),
 }

@@ -103,16 +103,6 @@ def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
             raise InputError(f"{name}: {both}: the same in two units; expected one of them")
         if f"valve_c_{end}" in v:
             v[f"valve_cda_{end}"] = area_of(v[f"valve_c_{end}"])
-    ranges = (
-        ("valve_b", 0.0, 0.9),
-        ("wall_heat", 0.0, 1e6),
-        ("wall_density", 0.0, 2.0),
-        ("wall_ends", 0.0, 10.0),
-        ("kappa", 1.0, 1.7),
-    )
-    for key, low, high in ranges:
-        if not low <= v[key] <= high:
-            raise InputError(f"{name}: cylinder.{key}: {v[key]:g}; expected {low:g} to {high:g}")
     positive = ("bore", "stroke", "dead_volume_1", "valve_cda_in", "valve_cda_out")
     for key in (*positive, *(("tube_diameter",) if v["tube_length"] > 0.0 else ())):
         if not v[key] > 0.0:

@@ -94,9 +94,9 @@ def _impulse_response(order: int, cutoff_hz: float, period_s: float, count: int)
     impulse = np.zeros(count + 1)
     impulse[1] = 1.0
     if order:
-        from plant.devices.sensors import butterworth_sections, filter_from_rest
+        from plant.devices.sensors import low_passed
 
-        impulse = filter_from_rest(butterworth_sections(order, cutoff_hz, 1.0 / period_s), impulse)
+        impulse = low_passed(impulse, order, cutoff_hz, 1.0 / period_s)
     return np.asarray(impulse[1:])
 
 

@@ -168,12 +168,11 @@ def test_frames_leave_on_a_static_schedule(lab: Run) -> None:
         sensor=SensorConfig(period_s=0.0025, phase_s=0.001),
         speeds_period_s=0.005,
         truth_period_s=0.02,
-        broadcast_phase_s=0.0,
     )
     run = Run(config, [(0, OFF)], 60)
     assert [t for t, _ in run.of(PositionPulse)] == list(range(2_500_000, 60 * MS + 1, 2_500_000))
-    assert [t for t, _ in run.of(DrivelineSpeeds)] == list(range(0, 60 * MS + 1, 5 * MS))
-    assert [t for t, _ in run.of(PlantMotion)] == list(range(0, 60 * MS + 1, 20 * MS))
+    assert [t for t, _ in run.of(DrivelineSpeeds)] == list(range(2_500_000, 60 * MS + 1, 5 * MS))
+    assert [t for t, _ in run.of(PlantMotion)] == list(range(2_500_000, 60 * MS + 1, 20 * MS))
 
 
 def test_an_interval_that_skips_an_event_is_refused() -> None:
