@@ -16,11 +16,7 @@ from sil.cli.options import EFFECTS, JSON, SETTINGS, argument, out, say
 from sil.files.quantity import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from sil.campaign.campaign import Floats
     from sil.campaign.simulate import SimulatedStroke
-
 
 ARGUMENTS = (
     argument("campaign", "campaign folder", "CAMPAIGN"),
@@ -45,8 +41,6 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.overrides import model_settings
     from sil.files.progress import Progress
-    from sil.report.campaign_figure import campaign_figure
-    from sil.report.picture import save
 
     campaign = load_campaign(arguments.campaign)
     stamps = [load_effects(file) for file in arguments.effects]
@@ -56,15 +50,13 @@ def run(arguments: argparse.Namespace) -> int:
         what = "is the campaign that is simulated; expected another folder"
         raise InputError(f"{arguments.out}: --out: {what}")
     records = read_records(campaign)
-    pairs = list(zip(campaign.strokes, records, strict=True))
+    pairs = zip(campaign.strokes, records, strict=True)
     named = [(entry, record.columns) for entry, record in pairs if record is not None]
     for file, column, what in misspelt_columns(named):
         say(f"opc4 simulate: {campaign.folder / file}: {column}: {what}")
     folder = prepare_folder(arguments.out, f"{campaign.name}-simulated", arguments.force)
     campaign_folder(folder, arguments.force)
     rows: list[dict[str, Any]] = []
-    by_file = {entry.file: record for entry, record in pairs if record is not None}
-    drawn: dict[str, tuple[SimulatedStroke, Mapping[str, Floats]]] = {}
 
     def note(item: SimulatedStroke) -> None:
         balance = item.stroke.balance
@@ -73,9 +65,6 @@ def run(arguments: argparse.Namespace) -> int:
         row |= {"energy_residual_j": balance.energy_residual_j, "balances_closed": balance.closed}
         rows.append(row)
         progress(len(rows), len(campaign.strokes))
-        if len(drawn) < 4:  # the first of each kind
-            record = by_file.get(item.entry.file)
-            drawn.setdefault(item.entry.label, (item, record.columns if record else {}))
         if not arguments.json:
             deviations = "  ".join(shown(name, value) for name, value in item.rms.items())
             stop = f"stop at {1e3 * item.arrival_s:8.3f} ms of the record"
@@ -86,13 +75,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     with Progress(f"simulating {campaign.name}", "strokes") as progress:
         write_campaign(campaign, simulate_campaign(campaign, parameters, records), folder, note)
-    figure = campaign_figure(drawn.values(), campaign.name)
-    save(figure, folder, "strokes")
     if arguments.json:
         report = {"campaign": campaign.name, "out": str(folder), "effects": stamps, "strokes": rows}
         print(json.dumps(finite(report)))
     else:
-        print(f"{counted(len(rows), 'stroke')} in {folder}; picture: strokes.png", file=sys.stderr)
+        print(f"{counted(len(rows), 'stroke')} in {folder}", file=sys.stderr)
     return 0
 
 

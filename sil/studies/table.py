@@ -124,10 +124,9 @@ def _reasons(table: Table) -> list[dict[str, Any]]:
 
 def share_interval(count: int, size: int) -> list[float]:
     """Return the 95 % interval of a share that was observed `count` times of `size` (Wilson)."""
-    share, z2 = count / size, Z95**2
-    middle = (share + 0.5 * z2 / size) / (1.0 + z2 / size)
-    half = math.sqrt(share * (1.0 - share) / size + 0.25 * z2 / size**2) * Z95 / (1.0 + z2 / size)
-    return [max(0.0, middle - half), min(1.0, middle + half)]
+    from scipy.stats import binomtest
+
+    return [float(end) for end in binomtest(count, size).proportion_ci(method="wilson")]
 
 
 def quantiles(values: NDArray[np.float64]) -> dict[str, list[float]]:

@@ -49,17 +49,6 @@ def test_same_output_as_scipy(order: int, fc_hz: float, rate_hz: float) -> None:
     assert np.max(np.abs(reference - [ours.update(x) for x in noise.tolist()])) < 1e-12
 
 
-@pytest.mark.parametrize("order", range(1, 9))
-def test_same_poles_and_zeros_as_scipy(order: int) -> None:
-    sections = butterworth(order, 22.0, 100.0)
-    assert len(sections) == (order + 1) // 2
-    rows = np.array([[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in sections])
-    ours = signal.sos2tf(rows)
-    reference = signal.butter(order, 22.0, fs=100.0)
-    for mine, theirs in zip(ours, reference, strict=True):
-        assert np.max(np.abs(np.trim_zeros(mine, "b") - theirs)) < 1e-12
-
-
 @given(order=st.integers(1, 8), fc_part=st.floats(0.01, 0.49), rate_hz=st.floats(10.0, 1000.0))
 @settings(max_examples=100, deadline=None)
 def test_gains_of_every_design(order: int, fc_part: float, rate_hz: float) -> None:
@@ -72,29 +61,6 @@ def test_gains_of_every_design(order: int, fc_part: float, rate_hz: float) -> No
     at_cut_off = abs(response(sections, fc_part * rate_hz, rate_hz))
     assert at_cut_off == pytest.approx(math.sqrt(0.5), rel=1e-8)
     assert abs(response(sections, 0.5 * rate_hz, rate_hz)) < 1e-12
-
-
-@pytest.mark.parametrize(("order", "fc_hz", "rate_hz"), CASES)
-def test_squared_gain_is_the_butterworth_law(order: int, fc_hz: float, rate_hz: float) -> None:
-    sections = butterworth(order, fc_hz, rate_hz)
-    k = math.tan(math.pi * fc_hz / rate_hz)
-    for f_hz in (1.0, 10.0, 30.0, 45.0):
-        ratio = math.tan(math.pi * f_hz / rate_hz) / k
-        law = 1.0 / (1.0 + ratio ** (2 * order))
-        assert abs(response(sections, f_hz, rate_hz)) ** 2 == pytest.approx(law, rel=1e-9)
-
-
-@pytest.mark.parametrize(("order", "fc_hz", "rate_hz"), [*CASES, (3, 22.0, 100.0), (1, 9.0, 50.0)])
-def test_delay_at_rest(order: int, fc_hz: float, rate_hz: float) -> None:
-    sections = butterworth(order, fc_hz, rate_hz)
-    small_hz = 1e-4 * fc_hz
-    by_phase_s = -cmath.phase(response(sections, small_hz, rate_hz)) / (2 * math.pi * small_hz)
-    assert delay_at_rest_s(order, fc_hz, rate_hz) == pytest.approx(by_phase_s, rel=1e-6)
-
-
-def test_delay_of_today_s_filter() -> None:
-    """3.8637/(200 tan(0.22 pi)) = 23.35 ms."""
-    assert delay_at_rest_s(6, 22.0, 100.0) == pytest.approx(0.02335, abs=5e-6)
 
 
 @pytest.mark.parametrize(("order", "fc_hz", "rate_hz"), CASES)
@@ -115,14 +81,6 @@ def test_settled_means_at_rest(order: int, value: float) -> None:
     ours.settle(value)
     for _ in range(200):
         assert ours.update(value) == pytest.approx(value, abs=1e-12)
-
-
-def test_a_step_from_rest_is_the_step_response_on_top() -> None:
-    sections = butterworth(6, 22.0, 100.0)
-    from_zero, from_one = SectionFilter(sections), SectionFilter(sections)
-    from_one.settle(1.0)
-    for _ in range(60):
-        assert from_one.update(3.0) == pytest.approx(1.0 + 2.0 * from_zero.update(1.0), abs=1e-12)
 
 
 def test_todays_filter_overshoots_by_17_percent() -> None:
@@ -166,11 +124,6 @@ def accelerated(t_s: float) -> float:
     return STROKE_M * min(max(t_s / STROKE_S, 0.0), 1.0) ** 2
 
 
-def uniform(t_s: float) -> float:
-    """A stroke of 15 ms at constant speed."""
-    return STROKE_M * min(max(t_s / STROKE_S, 0.0), 1.0)
-
-
 def estimates(
     config: FirmwareConfig, path: Path, started_s: float, lead_s: float
 ) -> list[tuple[float, float]]:
@@ -212,29 +165,15 @@ def lags_ms(config: FirmwareConfig, path: Path, lead_s: float) -> tuple[float, f
     return 1e3 * low_s / PHASES, 1e3 * high_s / PHASES
 
 
-def show(what: str, lags: tuple[float, float]) -> None:
-    print(f"{what}: {lags[0]:.1f} ms at 10 %, {lags[1]:.1f} ms at 90 % of the travel")
-
-
-@pytest.mark.parametrize("path", [accelerated, uniform])
-def test_with_todays_filter_30_ms_growing_to_40(path: Path) -> None:
-    lags = lags_ms(FirmwareConfig(), path, lead_s=0.005)
-    show(f"filter, {path.__name__}", lags)
+def test_with_todays_filter_30_ms_growing_to_40() -> None:
+    lags = lags_ms(FirmwareConfig(), accelerated, lead_s=0.005)
     assert lags[0] == pytest.approx(30.0, abs=2.5) and lags[1] == pytest.approx(40.0, abs=2.5)
 
 
-@pytest.mark.parametrize("path", [accelerated, uniform])
-def test_without_filter_10_ms_throughout(path: Path) -> None:
+def test_without_filter_10_ms_throughout() -> None:
     """5.0 - 0.45 + 0.4 ms to the status, and 5 ms until it is there on average."""
-    lags = lags_ms(FirmwareConfig(filter=FilterConfig(enabled=False)), path, lead_s=0.005)
-    show(f"no filter, {path.__name__}", lags)
+    lags = lags_ms(FirmwareConfig(filter=FilterConfig(enabled=False)), accelerated, lead_s=0.005)
     assert lags[0] == pytest.approx(9.95, abs=0.4) and lags[1] == pytest.approx(9.95, abs=0.4)
-
-
-def test_the_filter_costs_a_factor_three() -> None:
-    with_it = lags_ms(FirmwareConfig(), accelerated, lead_s=0.005)
-    without = lags_ms(FirmwareConfig(filter=FilterConfig(enabled=False)), accelerated, 0.005)
-    assert 2.7 < with_it[0] / without[0] < 3.4
 
 
 def test_a_slow_ramp_lags_by_the_closed_form() -> None:
@@ -265,17 +204,5 @@ def test_fast_sampling_without_filter(period_s: float, expected_ms: float) -> No
         period_s=period_s, sensor=SensorConfig(period_s=0.0025), filter=FilterConfig(enabled=False)
     )
     lags = lags_ms(config, accelerated, lead_s=0.0025)
-    show(f"2.5 ms sampling, {1e3 * period_s} ms firmware", lags)
     assert lags[0] == pytest.approx(expected_ms, abs=0.5)
     assert lags[1] == pytest.approx(expected_ms, abs=0.5)
-
-
-def test_fast_sampling_with_a_22_hz_filter_still_waits_for_the_filter() -> None:
-    """The filter's delay is set by its cut-off, not by the sampling."""
-    config = FirmwareConfig(period_s=0.0025, sensor=SensorConfig(period_s=0.0025))
-    lags = lags_ms(config, accelerated, lead_s=0.0025)
-    show("2.5 ms sampling, 22 Hz filter", lags)
-    floor_ms = 2.5 - 0.45 + 0.4 + 1.25
-    filter_ms = 1e3 * delay_at_rest_s(6, 22.0, 400.0)
-    assert lags[0] - floor_ms == pytest.approx(filter_ms, abs=8.0)
-    assert lags[1] > lags[0] + 5.0

@@ -198,28 +198,6 @@ def test_an_open_loop_stroke_takes_as_long_as_the_laboratory_s() -> None:
     assert before_m_s == pytest.approx(0.94, rel=0.1)
 
 
-def test_observer_without_errors_is_the_model() -> None:
-    """Measured exactly what the model's own past says: nothing is corrected."""
-    config = FirmwareConfig(filter=FilterConfig(enabled=False))
-    observer = Observer(config, ModelSettings(), ObserverSettings(sensor_age_s=0.0045))
-    free = Observer(
-        config,
-        ModelSettings(),
-        ObserverSettings(position_gain=0.0, speed_gain_per_s=0.0, load_gain_n_m=0.0),
-    )
-    past = {0: 0.0}
-    for tick in range(1, 7):
-        now_s = tick * 0.01
-        for sub in range(20):
-            free.advance(now_s - 0.01 + (sub + 1) * STEP_S, 0.0, 0)
-            past[free.steps] = free.travelled_m
-        observer.advance(now_s, past[free.steps - 9], 1)
-        assert observer.travelled_m == free.travelled_m
-        assert observer.motion.stay_m_s == free.motion.stay_m_s
-        for each in (observer, free):
-            each.command(True, False)
-
-
 def test_observer_finds_a_load_that_holds_the_stay() -> None:
     config = FirmwareConfig(filter=FilterConfig(enabled=False))
     observer = Observer(config, ModelSettings(), ObserverSettings())

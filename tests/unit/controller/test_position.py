@@ -39,12 +39,6 @@ class TestCalibration:
         got_m = Calibration(sensor).position_m(0.0033, 350.0)
         assert got_m == pytest.approx((0.0033 / 1.1 - 0.002) / 0.1, abs=1e-15)
 
-    def test_uncompensated_temperature_would_be_millimetres(self) -> None:
-        """Why it is compensated: 40 K are 4.8 % of the pulse, about 2 mm."""
-        warm = exact(0.0, 0, T_K + 40.0)
-        wrong_m = Calibration(SensorConfig(temp_coeff_per_k=0.0)).position_m(warm.pulse_s, T_K)
-        assert wrong_m == pytest.approx(1.96e-3, abs=1e-5)
-
     def test_still_is_two_ticks(self) -> None:
         sensor = SensorConfig(still_ticks=2, timer_resolution_s=3e-6, slope_s_per_m=0.03)
         assert Calibration(sensor).still_m == pytest.approx(2e-4)
@@ -187,17 +181,6 @@ def test_inverts_the_pulse_law(x_m: float, temperature_k: float) -> None:
     pulse = exact(x_m, 0, temperature_k)
     got_m = Calibration(SensorConfig()).position_m(pulse.pulse_s, temperature_k)
     assert got_m == pytest.approx(x_m, abs=1e-12)
-
-
-@given(st.lists(st.booleans(), max_size=60))
-def test_level_is_a_leaky_count(verdicts: list[bool]) -> None:
-    p = Plausibility(SensorConfig(bad_limit=6), 0.01285, 0.001)
-    level, tripped = 0, False
-    for good in verdicts:
-        p.count(good)
-        level = max(level - 1, 0) if good else min(level + 2, 6)
-        tripped = level == 6 or (tripped and level > 0)
-        assert p.implausible == tripped
 
 
 def pulses(positions_m: Sequence[float], start: int = 0) -> list[PositionPulse]:

@@ -54,14 +54,6 @@ class TestInit:
         bench.step(position_valid=True)
         assert bench.until(S.IDLE) == 300
 
-    def test_an_interruption_begins_it_anew(self) -> None:
-        bench = Bench(U)
-        for _ in range(20):
-            bench.step()
-        bench.step(position_valid=False)
-        bench.step(position_valid=True)
-        assert bench.until(S.IDLE) == 300
-
     def test_requests_wait(self) -> None:
         bench = Bench(N)
         assert bench.step(requested=B, run=1) is S.INIT
@@ -213,17 +205,6 @@ class TestPush:
             pushes += bench.step() is S.PUSH and before is S.VENT
         assert bench.machine.state is S.FAULT
         assert pushes == 1 + retries
-
-    def test_a_retry_that_succeeds_ends_as_any_shift(self) -> None:
-        bench = Bench(N).underway(B)
-        bench.until(S.VENT)
-        bench.until(S.PUSH)
-        assert bench.step(gear=B, run=2) is S.BLOW
-        assert not bench.machine.in_process
-        bench.until(S.HOLD)
-        assert bench.until(S.VENT) == 40
-        assert bench.until(S.IDLE) == 110
-        assert bench.machine.confirmed is B
 
     def test_a_new_leg_has_all_its_attempts(self) -> None:
         bench = Bench(B).underway(F)
@@ -438,13 +419,6 @@ class TestAfterwards:
         assert bench.step(requested=F) is S.PUSH
         assert bench.facts() == (S.PUSH, N, F, U)
 
-    @pytest.mark.parametrize(("state", "ms"), [(S.HOLD, 40), (S.VENT, 110)])
-    def test_a_new_request_in_the_last_moment_too(self, state: ShiftState, ms: int) -> None:
-        bench = Bench(N).blowing(B)
-        bench.until(state)
-        bench.stays(state, ms // 10 - 1)
-        assert bench.step(requested=F) is S.PUSH
-
     @pytest.mark.parametrize("state", [S.HOLD, S.VENT])
     def test_a_gear_that_slips_out_is_reported_and_seen_again(self, state: ShiftState) -> None:
         bench = Bench(N).blowing(B)
@@ -494,14 +468,6 @@ class TestRequestsDuringAPush:
         bench.until(S.IDLE)
         assert bench.machine.confirmed is N
         assert bench.step(requested=F) is S.PUSH  # it is back: now it is new
-
-    def test_a_lost_request_lets_a_gear_be_engaged(self) -> None:
-        bench = Bench(N).pushing(B)
-        bench.step(gear=U, run=1, requested=None)
-        assert bench.facts() == (S.PUSH, B, B, U)
-        bench.step(gear=B, run=2)
-        bench.until(S.IDLE)
-        assert bench.machine.confirmed is B
 
     def test_during_the_pause_before_a_retry(self) -> None:
         bench = Bench(N).underway(B)

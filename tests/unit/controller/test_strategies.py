@@ -97,28 +97,6 @@ def test_to_neutral_and_in_a_second_attempt_it_is_the_open_loop(name: str) -> No
     assert strategy.command(0, fast, push(Gear.BACKWARD, attempt=1)) == Duties(0.98, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("name", BRAKING)
-@pytest.mark.parametrize(("leg", "sign"), [(Gear.BACKWARD, 1.0), (Gear.FORWARD, -1.0)])
-def test_it_brakes_with_neutral_and_pushes_again_when_patience_ends(
-    name: str, leg: Gear, sign: float
-) -> None:
-    strategy = new_strategy(name, patience_s=0.1)
-    near_and_fast = seen(sign * 0.011, sign * 2.0)
-    assert strategy.command(50 * MS, near_and_fast, push(leg)).n == 0.98
-    after = strategy.command(100 * MS, near_and_fast, push(leg))
-    assert after == (Duties(0.98, 0.0, 0.0) if sign > 0 else Duties(0.0, 0.0, 0.98))
-
-
-@pytest.mark.parametrize("name", BRAKING)
-def test_the_two_gears_mirror_each_other(name: str) -> None:
-    one, other = new_strategy(name), new_strategy(name)
-    for step in range(12):
-        x_m, v_m_s = 0.0011 * step, 0.15 * step
-        b = one.command(step * 10 * MS, seen(x_m, v_m_s), push(Gear.BACKWARD))
-        f = other.command(step * 10 * MS, seen(-x_m, -v_m_s), push(Gear.FORWARD))
-        assert (b.b, b.n, b.f) == (f.f, f.n, f.b)
-
-
 def test_the_burst_begins_at_the_extrapolated_position_and_lasts_its_time() -> None:
     strategy = new_strategy(
         "air_cushion", trigger_m=0.006, lead_s=0.01, burst_s=0.02, keep_charging=True
@@ -130,25 +108,6 @@ def test_the_burst_begins_at_the_extrapolated_position_and_lasts_its_time() -> N
     assert strategy.command(30 * MS, seen(0.012, 1.0), leg) == Duties(0.98, 0.0, 0.0)
     strategy.reset()
     assert strategy.command(40 * MS, seen(0.007, 0.0), leg).n == 0.98
-
-
-def test_the_charge_may_be_cut_during_the_burst() -> None:
-    strategy = new_strategy("air_cushion", trigger_m=0.006, keep_charging=False)
-    assert strategy.command(0, seen(0.007, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.98, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("speed_m_s", "duties"),
-    [
-        (0.49, Duties(0.98, 0.0, 0.0)),  # s = 50 * 0.012 - 0.49 = 0.11: above the band
-        (0.51, Duties(0.0, 0.0, 0.0)),
-        (0.69, Duties(0.0, 0.0, 0.0)),
-        (0.71, Duties(0.0, 0.98, 0.0)),
-    ],
-)
-def test_sliding_mode_takes_the_side_of_its_surface(speed_m_s: float, duties: Duties) -> None:
-    strategy = new_strategy("sliding_mode", slope_per_s=50.0, band_m_s=0.1, beyond_m=0.0)
-    assert strategy.command(0, seen(0.00085, speed_m_s), push(Gear.BACKWARD)) == duties
 
 
 Fall = tuple[float, float, float]  # difference at time 0 rad/s, its fall rad/s2, growth rad/s3
@@ -235,12 +194,6 @@ def test_blow_cut_ends_the_blow_on_neutral_only_when_a_gear_follows() -> None:
     assert strategy.blow_s(0.15, Gear.BACKWARD, False) == 0.15
     assert new_strategy("blow_cut", neutral_s=0.03).blow_s(0.15, Gear.NEUTRAL, True) == 0.03
     assert new_strategy("blow_cut", otherwise_s=0.01).blow_s(0.15, Gear.FORWARD, False) == 0.01
-
-
-def test_blow_cut_pushes_as_the_open_loop() -> None:
-    strategy = new_strategy("blow_cut")
-    for leg in (Gear.BACKWARD, Gear.NEUTRAL, Gear.FORWARD):
-        assert sum(strategy.command(0, seen(0.0, 0.0), push(leg))) == 0.98
 
 
 @pytest.mark.parametrize(
@@ -478,19 +431,6 @@ def test_with_the_true_model_and_quick_hardware_the_stop_is_soft(name: str) -> N
     assert time_s < open_loop_s + 0.04
 
 
-def test_a_trial_is_the_observer_s_model_run_on() -> None:
-    strategy = new_foresight("predictive", **QUICK_VALVES)
-    strategy.observer.command(True, False)
-    result = strategy.trial(N, N, N, N)
-    speed_m_s = 0.0
-    observer = strategy.observer
-    while observer.motion.stay_m < observer.model.stroke_m:
-        speed_m_s = observer.motion.stay_m_s
-        observer.advance(observer.time_s + STEP_S, 0.0, 0)
-    assert result.speed_m_s == speed_m_s and result.left_m == 0.0
-    assert result.time_s == pytest.approx(observer.time_s, abs=1.01 * STEP_S)
-
-
 def test_a_trial_leaves_the_observer_as_it_was() -> None:
     strategy = new_foresight("predictive", **QUICK_VALVES)
     strategy.observer.command(True, False)
@@ -506,15 +446,6 @@ def test_stored_times_lie_on_lines_between_the_entries() -> None:
     (low_pa, low_s), (high_pa, high_s) = TABLE[:2]
     assert stored_s(TABLE, 0.5 * (low_pa + high_pa)) == pytest.approx(0.5 * (low_s + high_s))
     assert stored_s(TABLE, 1e5) == TABLE[0][1] and stored_s(TABLE, 1e7) == TABLE[-1][1]
-
-
-def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
-    strategy = new_foresight("bang_bang", brake_s=0.02)
-    still = Estimate(True, 0.0, 0.0, 0.0, ())
-    braked = [strategy.command(tick * 2_500_000, still, PUSH).n > 0.5 for tick in range(40)]
-    begun = braked.index(True)
-    assert begun == round(stored_s(TABLE, 9e5) / 0.0025)
-    assert braked == [begun <= tick < begun + 8 for tick in range(40)]
 
 
 @pytest.mark.parametrize("wanted_m_s", [0.2, 0.5])
@@ -574,15 +505,6 @@ def test_bang_bang_s_times_are_exact_in_steps() -> None:
 def test_a_table_out_of_order_is_refused(table: list[list[float]]) -> None:
     with pytest.raises(InputError, match="ascending supply pressures"):
         strategies.parameters("bang_bang", {"table": table})
-
-
-def test_sequences_are_few_and_the_first_does_nothing() -> None:
-    result = sequences(0.01)
-    assert len(result) == len(set(result)) == 27
-    assert result[0].brake_on_s > 1.0
-    assert all(
-        s.brake_off_s - s.brake_on_s in (0.0, 0.01, 0.02, 0.04) or s.brake_on_s for s in result
-    )
 
 
 @pytest.mark.parametrize(("name", "most_trials"), [("bang_bang", 8), ("predictive", 27)])

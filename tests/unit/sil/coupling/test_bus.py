@@ -49,20 +49,6 @@ def test_length_scales_with_the_bit_rate() -> None:
         assert delivery.arrival_ns == frame_bits(USUAL.can_id, USUAL.data) * bit_ns
 
 
-def test_the_lowest_identifier_goes_first_and_is_followed_by_the_intermission() -> None:
-    bus = BusModel()
-    for frame in (SLACK, URGENT, USUAL):
-        bus.queue(0, frame, "x")
-    first = duration_ns(URGENT)
-    second = first + GAP + duration_ns(USUAL)
-    third = second + GAP + duration_ns(SLACK)
-    assert [(d.frame, d.arrival_ns) for d in bus.advance(10**9)] == [
-        (URGENT, first),
-        (USUAL, second),
-        (SLACK, third),
-    ]
-
-
 def test_frames_released_at_the_instant_reached_still_compete() -> None:
     """What is released at T, after the bus advanced to T, takes part in the arbitration at T."""
     bus = BusModel()
@@ -172,15 +158,6 @@ def test_arbitration(sent: list[Offer], stops: list[int]) -> None:
 @settings(max_examples=100, deadline=None)
 def test_it_does_not_matter_where_the_clock_stops(sent: list[Offer], stops: list[int]) -> None:
     assert run(BusModel(), sent, stops) == run(BusModel(), sent, [])
-
-
-@given(offers, instants)
-@settings(max_examples=100, deadline=None)
-def test_a_filter_that_does_nothing_changes_nothing(sent: list[Offer], stops: list[int]) -> None:
-    perfect = BusModel()
-    filtered = BusModel(frame_filter=Transmission.delivered, is_off=lambda sender, now_ns: False)
-    assert run(filtered, sent, stops) == run(perfect, sent, stops)
-    assert filtered.statistics == perfect.statistics
 
 
 def test_statistics_and_load() -> None:
@@ -314,17 +291,6 @@ def test_capacity_counts_frames_that_were_dropped_or_given_up_as_gone() -> None:
     statistics = bus.statistics
     assert statistics.dropped_full == 0
     assert statistics.dropped_bus_off == statistics.error_frames == 1
-
-
-def test_overload_starves_the_less_urgent_only() -> None:
-    bus = BusModel()
-    for number in range(100):
-        bus.queue(number * 100_000, URGENT, "babbler")
-    bus.queue(0, SLACK, "plant")
-    bus.queue(50_000, USUAL, "plant")
-    assert {d.frame for d in bus.advance(10_000_000)} == {URGENT}
-    assert bus.load == pytest.approx(1.0, abs=1e-3)
-    assert bus.waiting > 50
 
 
 @pytest.mark.parametrize("bitrate", [0, -1, 9_999, 1_000_001, 333_333, 83_333])

@@ -306,22 +306,6 @@ def test_length_is_that_of_the_frame_written_out(kind: tuple[bool, int], data: b
     assert frame_bits(can_id, data, extended) == len(on_the_wire + acknowledge + end_of_frame)
 
 
-@given(identifiers, payloads)
-@settings(max_examples=300, deadline=None)
-def test_lengths_lie_between_the_published_bounds(kind: tuple[bool, int], data: bytes) -> None:
-    extended, can_id = kind
-    length = frame_bits(can_id, data, extended)
-    assert shortest_frame_bits(len(data), extended) <= length
-    assert length <= longest_frame_bits(len(data), extended)
-
-
-@given(st.integers(0, (1 << 118) - 1), st.integers(1, 118))
-@settings(max_examples=200, deadline=None)
-def test_crc_is_the_remainder_of_the_division(bits: int, count: int) -> None:
-    bits &= (1 << count) - 1
-    assert f"{crc15(bits, count):015b}" == divided(f"{bits:0{count}b}")
-
-
 def test_crc_has_its_published_check_value() -> None:
     """0x059E for the nine digits (catalogue of parametrised CRC algorithms, CRC-15/CAN)."""
     assert crc15(int.from_bytes(b"123456789", "big"), 72) == 0x059E
@@ -336,15 +320,6 @@ def test_published_bounds(length: int) -> None:
     assert shortest_frame_bits(length, True) + INTERMISSION_BITS == 67 + 8 * length
 
 
-def test_frame_of_zeros_by_hand() -> None:
-    """15 zeros, the 1 of the length code, 67 zeros whose last two run on into the CRC."""
-    bits = plain_bits(0, bytes(8), False)
-    crc = divided(bits)
-    by_hand = "000001" * 3 + "1" + "000001" * 13 + "00"
-    assert stuffed(bits) == by_hand
-    assert frame_bits(0, bytes(8), False) == len(by_hand) + len(stuffed("00" + crc)) - 2 + 10
-
-
 @pytest.mark.parametrize(
     ("can_id", "length", "extended"),
     [(0x800, 0, False), (-1, 0, True), (1 << 29, 0, True), (0, 9, True), (0, -1, False)],
@@ -352,9 +327,3 @@ def test_frame_of_zeros_by_hand() -> None:
 def test_what_is_no_frame_is_refused(can_id: int, length: int, extended: bool) -> None:
     with pytest.raises(ValueError, match=r"expected 0 to 8|does not fit"):
         header_bits(can_id, length, extended)
-
-
-def test_fields_of_an_extended_header() -> None:
-    header, count = header_bits(0x1ABC_DEF5, 7)
-    assert f"{header:0{count}b}" == plain_bits(0x1ABC_DEF5, b"", True)[:-4] + "0111"
-    assert count == 39
