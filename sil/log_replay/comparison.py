@@ -41,9 +41,10 @@ class Difference(NamedTuple):
     inputs: list[str]
 
     def as_dict(self, base_ns: int) -> dict[str, Any]:
-        """Return time and signals as plain JSON values; the time on the log's clock."""
+        """Return all of it as plain JSON values; the time on the log's clock."""
         named = [{"name": name, "recorded": a, "replayed": b} for name, a, b in self.signals]
-        return {"time_s": (self.time_ns + base_ns) / 1e9, "signals": named}
+        time_s = (self.time_ns + base_ns) / 1e9
+        return {"time_s": time_s, "signals": named, "inputs": self.inputs}
 
 
 @dataclass
@@ -52,6 +53,15 @@ class StateHistory:
 
     name: str
     sides: tuple[list[tuple[int, str]], ...] = field(default_factory=lambda: ([], []))
+
+    def as_dict(self, base_ns: int) -> dict[str, Any]:
+        """Return all of it as plain JSON values; times on the log's clock."""
+        recorded, replayed = (
+            [{"time_s": (time_ns + base_ns) / 1e9, "value": name} for time_ns, name in changes]
+            for changes in self.sides
+        )
+        sides = {"recorded": recorded, "replayed": replayed}
+        return {"name": self.name, "differs": self.differs} | sides
 
     def take(self, side: int, time_ns: int, value: str) -> None:
         """Note the value of a side."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from itertools import islice, takewhile
 
 from can_dbc.e2e import COUNTERS, PROTECTED
@@ -21,24 +20,6 @@ from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
 from sil.log_replay.signals import NAMES, value_text, values
 from sil.log_replay.ticks import Span, TickMap
-
-
-@dataclass
-class Account:
-    """Where every frame of the log went, by message; all together are all frames of the log."""
-
-    inputs: Counter[str] = field(default_factory=Counter)
-    unheard: Counter[str] = field(default_factory=Counter)
-    answers: Counter[str] = field(default_factory=Counter)
-    plant: Counter[str] = field(default_factory=Counter)
-    other: Counter[str] = field(default_factory=Counter)
-    foreign: int = 0
-
-    @property
-    def total(self) -> int:
-        """Frames accounted for."""
-        parts = (self.inputs, self.unheard, self.answers, self.plant, self.other)
-        return sum(part.total() for part in parts) + self.foreign
 
 
 class Unit:
@@ -121,7 +102,8 @@ class ReplayExecutor:
         self._next_ns = 0
         self._restarts = list(ticks.restarts)
         self._heard: deque[tuple[int, type, Frame]] = deque(maxlen=12)
-        self.account = Account()
+        self.account: Counter[str] = Counter()
+        """How many frames of the log were what; together they are all of its frames."""
         self.steps = 0
         self.unanswered: Counter[str] = Counter()
         self.moved_inputs = 0
@@ -161,26 +143,26 @@ class ReplayExecutor:
     # --- reading ----------------------------------------------------------------------------
     def _sort(self, arrival: Arrival, time_ns: int) -> None:
         """Put a frame where it belongs."""
-        kind, account = arrival.kind, self.account
+        kind = arrival.kind
         if kind is None:
-            account.foreign += 1
+            what = "foreign"
         elif kind in OUTPUTS:
-            self._sort_answer(arrival, kind)
+            what = self._sort_answer(arrival, kind)
         elif kind not in INPUTS:
-            account.plant[kind.__name__] += 1
+            what = "of the plant"
         elif self._receives(arrival.time_ns):
-            account.inputs[kind.__name__] += 1
+            what = "inputs"
             self._pending.append((time_ns, arrival.frame))
         else:
-            account.unheard[kind.__name__] += 1
+            what = "inputs while off the bus"
+        self.account[what] += 1
         if self._plant is not None:
             self._plant.see(time_ns, arrival)
 
-    def _sort_answer(self, arrival: Arrival, kind: type) -> None:
-        name, account = kind.__name__, self.account
+    def _sort_answer(self, arrival: Arrival, kind: type) -> str:
+        """Put an answer to its tick; return what it counts as."""
         if not is_intact(kind, arrival.frame):
-            account.other[f"{name} with a wrong checksum or length"] += 1
-            return
+            return f"{kind.__name__} with a wrong checksum or length"
         tick = self._map.tick_of(arrival)
         if kind in PROTECTED:
             self._last_tick = tick
@@ -189,13 +171,12 @@ class ReplayExecutor:
         if kind in self._answers.get(tick, ()):  # its counter does not change
             tick = self._grid.latest_tick(arrival)
         if tick < self._next_recorded:
-            account.other[f"{name} from before the replay or too late"] += 1
-        elif kind in self._answers.setdefault(tick, {}):
-            account.other[f"{name} a second time in one tick"] += 1
-        else:
-            account.answers[name] += 1
-            self._answered_ns.setdefault(tick, arrival.time_ns - self._grid.origin_ns)
-            self._answers[tick][kind] = bare(kind, arrival.frame.data)
+            return f"{kind.__name__} from before the replay or too late"
+        if kind in self._answers.setdefault(tick, {}):
+            return f"{kind.__name__} a second time in one tick"
+        self._answered_ns.setdefault(tick, arrival.time_ns - self._grid.origin_ns)
+        self._answers[tick][kind] = bare(kind, arrival.frame.data)
+        return "answers of the control unit"
 
     # --- running ----------------------------------------------------------------------------
     def _go(self) -> None:

@@ -137,27 +137,6 @@ def _states(pieces: Sequence[Piece], labels: tuple[str, str]) -> Panel:
     return Panel("Firmware state", spans=spans, ticks=ticks, height=76, limits=(0.0, 2.0))
 
 
-def positions_figure(
-    positions: Sequence[Position], base_ns: int, marks: Callable[[Panel], Panel]
-) -> Figure:
-    """Return the plant's recorded and replayed position, and their difference."""
-    both = [p for p in positions if np.isfinite(p.recorded_m)]
-    times = np.array([(p.time_ns + base_ns) / 1e6 for p in both])
-    recorded = MM * np.array([p.recorded_m for p in both])
-    replayed = MM * np.array([p.replayed_m for p in both])
-    lines = [
-        Series("recorded", times, recorded, "truth", width=2.4),
-        Series("plant replayed", times, replayed, "alarm", width=1.2),
-    ]
-    difference = [Series("replayed - recorded", times, replayed - recorded, "alarm", width=1.0)]
-    panels = [
-        marks(Panel("Position of the plant", "mm", lines, height=230)),
-        marks(Panel("Difference", "mm", difference, height=110)),
-    ]
-    limits = (float(times[0]), float(times[-1]))
-    return Figure([Stack("time of the log, ms", panels, limits=limits, width=10.8)])
-
-
 ROLES = ("truth", "after", "before")
 """Colours of the recorded side, of ours, and of ours as changed."""
 

@@ -52,7 +52,6 @@ class RecordedFrames:
     counts: Counter[str] = field(default_factory=Counter)
     """Frames that are not passed on, by the reason."""
     kinds: Counter[type] = field(default_factory=Counter)
-    foreign: Counter[int] = field(default_factory=Counter)
     reordered: int = 0
     last_ns: int | None = None
 
@@ -85,8 +84,6 @@ class RecordedFrames:
                 continue
             if kind is not None:
                 self.kinds[kind] += 1
-            elif len(self.foreign) < 100_000 or entry.can_id in self.foreign:
-                self.foreign[entry.can_id] += 1
             can_id = entry.can_id if kind is None else ID_OF[kind]
             yield Arrival(time_ns, kind, Frame(can_id, entry.data))
 
@@ -129,8 +126,8 @@ def bare(kind: type, data: bytes) -> bytes:
     return bytes((0, data[1] & 0xF0)) + data[2:]
 
 
-def ids_of_database(path: str) -> tuple[dict[int, type], dict[int, str]]:
-    """Return identifier to message type, and names of all identifiers, of another DBC file.
+def ids_of_database(path: str) -> dict[int, type]:
+    """Return identifier to message type of another DBC file.
 
     Messages are found by their names; layout and scaling have to be those of the contract.
     Raises InputError for a message that is laid out differently, or when none is there.
@@ -140,9 +137,7 @@ def ids_of_database(path: str) -> tuple[dict[int, type], dict[int, str]]:
     database = load_dbc(path)
     by_name = {kind.__name__: kind for kind in KINDS}
     ids: dict[int, type] = {}
-    names: dict[int, str] = {}
     for message in database.messages:
-        names[message.frame_id] = message.name
         if (kind := by_name.get(message.name)) is not None:
             _require_layout(path, kind, message)
             ids[message.frame_id] = kind
@@ -150,10 +145,11 @@ def ids_of_database(path: str) -> tuple[dict[int, type], dict[int, str]]:
         raise InputError(
             f"{path}: no message of the control unit in it; expected {', '.join(sorted(by_name))}"
         )
+    taken = {message.frame_id for message in database.messages}
     for can_id, kind in OWN_IDS.items():
-        if kind not in ids.values() and can_id not in names:
+        if kind not in ids.values() and can_id not in taken:
             ids[can_id] = kind
-    return ids, names
+    return ids
 
 
 def _require_layout(path: str, kind: type, message: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -19,7 +19,7 @@ from sil.files.overrides import Settings
 from sil.files.quantity import counted, html_table
 from sil.firmware.load import firmware_node
 from sil.log_replay.comparison import Comparison
-from sil.log_replay.executor import Account, ReplayExecutor, Unit
+from sil.log_replay.executor import ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings, shipped_firmware
 from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, ids_of_database
@@ -59,13 +59,12 @@ class ReplayResult:
     grid: Grid
     ticks: TickMap
     comparison: Comparison
-    account: Account
+    account: Counter[str]
     read: LogReport
     frames: int
     steps: int
     unanswered: Counter[str]
     plant: PlantSide | None
-    foreign: list[tuple[str, int]]
     notes: list[str] = field(default_factory=list)
     tried: int = 0
     """How many settings were tried in vain where the log does not say which ones it has; else 0."""
@@ -143,7 +142,7 @@ def _replay(request: ReplayRequest) -> ReplayResult:
         comparison = Comparison(options, config.duty_closed, executor.inputs, not grid.fresh)
         frames = log.frames()
         executor.run(frames, comparison)
-    executor.account.other.update(frames.counts)
+    executor.account.update(frames.counts)
     if not comparison.engaged:
         raise InputError(
             f"{request.log}: no valve was ever energised, in the recording or in the replay, so that "
@@ -161,10 +160,6 @@ def _replay(request: ReplayRequest) -> ReplayResult:
         steps=executor.steps,
         unanswered=executor.unanswered,
         plant=plant,
-        foreign=[
-            (log.names.get(can_id, f"{can_id:08X}"), count)
-            for can_id, count in frames.foreign.most_common(20)
-        ],
     )
     if executor.moved_inputs:
         outcome.notes.append(
@@ -179,10 +174,7 @@ class _Log:
 
     def __init__(self, request: ReplayRequest) -> None:
         self._path = request.log
-        self.names: Mapping[int, str] = {}
-        self._ids: Mapping[int, type] = OWN_IDS
-        if request.dbc is not None:
-            self._ids, self.names = ids_of_database(request.dbc)
+        self._ids = OWN_IDS if request.dbc is None else ids_of_database(request.dbc)
         self.reader = request.reader or open_logs([request.log])
         self.channel: str | None = None
         self.skew = (0, 0.0)

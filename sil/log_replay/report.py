@@ -10,15 +10,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any, cast
 
-import numpy as np
-
 from sil.files.output_folder import finite
 from sil.files.progress import Progress
 from sil.files.quantity import counted, noun
 from sil.j1939.summary import J1939Summary
 from sil.log_replay import figures
 from sil.log_replay.comparison import Difference, StateHistory
-from sil.log_replay.edges import shift_text
 from sil.log_replay.excerpts import waveforms
 from sil.log_replay.replay import ReplayResult
 from sil.log_replay.truck_replay import (
@@ -138,7 +135,6 @@ def text(outcome: ReplayResult) -> str:
     ]
     for history in comparison.states:
         lines += _indented([_sequences(history, outcome.labels)])
-        lines += _indented(_state_times(history, outcome), 4)
     lines += ["", *_difference_lines(outcome, "first difference", comparison.first)]
     if comparison.first_command is not None and comparison.first_command != comparison.first:
         lines += _difference_lines(outcome, "first command that differs", comparison.first_command)
@@ -148,19 +144,19 @@ def text(outcome: ReplayResult) -> str:
         lines.append(f"waveforms, commands {'differ' if scene.differs else 'are equal'}")
         lines += _indented(waveforms(scene, outcome.labels, grid.origin_ns))
     lines += ["signals", *_indented(_signal_lines(outcome)), ""]
-    lines += ["frames", *_indented([_account_line(outcome), *account_lines(outcome)])]
+    lines += ["frames", *_indented([_account_line(outcome)])]
     if outcome.notes:
         lines += ["", "notes", *_indented(outcome.notes)]
     return "\n".join(lines) + "\n"
 
 
-def _indented(lines: Iterable[str], width: int = 2) -> list[str]:
-    return [f"{' ' * width}{line}".rstrip() for line in lines]
+def _indented(lines: Iterable[str]) -> list[str]:
+    return [f"  {line}".rstrip() for line in lines]
 
 
 def as_dict(outcome: ReplayResult) -> dict[str, Any]:
     """Return diff.json; times in s on the log's clock."""
-    grid, comparison, account = outcome.grid, outcome.comparison, outcome.account
+    grid, comparison = outcome.grid, outcome.comparison
     base_ns = grid.origin_ns
     return {
         "format": 1,
@@ -184,9 +180,9 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
             result.as_dict(base_ns) | {"text": result.lines(grid.period_ns, base_ns)}
             for result in comparison.matched_edges()
         ],
-        "states": [_history(history, base_ns) for history in comparison.states],
-        "first": _difference_dict(comparison.first, base_ns),
-        "first_command": _difference_dict(comparison.first_command, base_ns),
+        "states": [history.as_dict(base_ns) for history in comparison.states],
+        "first": comparison.first and comparison.first.as_dict(base_ns),
+        "first_command": comparison.first_command and comparison.first_command.as_dict(base_ns),
         "signals": {
             name: entry.as_dict(base_ns) for name, entry in sorted(comparison.signals.items())
         },
@@ -195,9 +191,8 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
         | {"attribution": attribution(outcome) if outcome.request.plant else None},
         "frames": {
             "total": outcome.frames,
-            "accounted": account.total,
-            **vars(account),
-            "foreign_names": [{"name": name, "frames": count} for name, count in outcome.foreign],
+            "accounted": outcome.account.total(),
+            "uses": dict(outcome.account),
             "unanswered": dict(outcome.unanswered),
         },
         "log_report": outcome.read.as_dict(),
@@ -239,19 +234,6 @@ def _row(names: list[str]) -> str:
     return f"{shown} ... and {more} more" if more > 0 else shown
 
 
-def _state_times(history: StateHistory, outcome: ReplayResult) -> list[str]:
-    """Return the states that begin at another time, of sequences that are the same."""
-    if history.differs:
-        return []
-    period_ns = outcome.grid.period_ns
-    lines = [
-        f"{name} of {_when(outcome, recorded)} begins {shift_text(replayed - recorded, period_ns)}"
-        for (recorded, name), (replayed, _) in zip(*history.sides, strict=True)
-        if recorded != replayed
-    ]
-    return lines[:MOST_STATES_SHOWN]
-
-
 def plant_lines(outcome: ReplayResult) -> list[str]:
     """Return how the plant compared, and when the loop was closed."""
     plant = outcome.plant
@@ -287,50 +269,8 @@ def _signal_lines(outcome: ReplayResult) -> list[str]:
 
 
 def _account_line(outcome: ReplayResult) -> str:
-    account = outcome.account
-    parts = [
-        f"{account.inputs.total()} inputs",
-        f"{account.answers.total()} answers of the control unit",
-        f"{account.plant.total()} of the plant",
-        f"{account.foreign} foreign",
-    ]
-    if account.unheard:
-        parts.append(f"{account.unheard.total()} inputs while off the bus")
-    if account.other:
-        parts.append(f"{account.other.total()} others")
-    total = f"{account.total} of {counted(outcome.frames, 'frame')}"
-    return f"{total} accounted for: {', '.join(parts)}"
-
-
-def account_lines(outcome: ReplayResult) -> list[str]:
-    """Return how many frames of each message were read, by what they were used for."""
-    account = outcome.account
-    parts = (
-        ("inputs", sorted(account.inputs.items())),
-        ("inputs not heard", sorted(account.unheard.items())),
-        ("answers", sorted(account.answers.items())),
-        ("plant", sorted(account.plant.items())),
-        ("others", sorted(account.other.items())),
-        ("foreign", outcome.foreign),
-    )
-    return [
-        f"{title}: {', '.join(f'{count} {name}' for name, count in counts)}"
-        for title, counts in parts
-        if counts
-    ]
-
-
-def _history(history: StateHistory, base_ns: int) -> dict[str, Any]:
-    values: dict[str, Any] = {"name": history.name, "differs": history.differs}
-    for side, changes in zip(("recorded", "replayed"), history.sides, strict=True):
-        values[side] = [{"time_s": (ns + base_ns) / 1e9, "value": name} for ns, name in changes]
-    return values
-
-
-def _difference_dict(parting: Difference | None, base_ns: int) -> dict[str, Any] | None:
-    if parting is None:
-        return None
-    return parting.as_dict(base_ns) | {"inputs": parting.inputs}
+    parts = ", ".join(f"{count} {what}" for what, count in outcome.account.items())
+    return f"{outcome.account.total()} of {counted(outcome.frames, 'frame')} accounted for: {parts}"
 
 
 def replay_page(outcome: ReplayResult, values: dict[str, Any], command: str, folder: Path) -> str:
@@ -362,7 +302,7 @@ def replay_page(outcome: ReplayResult, values: dict[str, Any], command: str, fol
         pictures=pictures,
         states=states,
         plant=plant_lines(outcome) if outcome.plant is not None else [],
-        frames=account_lines(outcome),
+        account=_account_line(outcome),
     )
 
 
@@ -377,7 +317,7 @@ def _tiles(outcome: ReplayResult) -> list[tuple[str, str]]:
         (f"{sum(1 for s in shifts if s)}", "edges moved"),
         (f"{alone}", "edges gone or new"),
         (f"{max(shifts, default=0) / 1e6:g} ms", "farthest moved"),
-        (f"{outcome.account.total} of {outcome.frames}", "frames accounted for"),
+        (f"{outcome.account.total()} of {outcome.frames}", "frames accounted for"),
     ]
 
 
@@ -397,14 +337,7 @@ def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[
         Picture(save(draw([scene]), folder, f"scene_{number}"), alt, caption)
         for number, scene in enumerate(scenes, start=1)
     ]
-    groups = plots(draw(scenes)) if scenes else []
-    if any(np.isfinite(p.recorded_m) for p in positions):
-        figure = figures.positions_figure(positions, base_ns, marks)
-        alt = "Recorded and replayed position over time"
-        caption = "The plant's position as recorded and as replayed."
-        pictures.append(Picture(save(figure, folder, "positions"), alt, caption))
-        groups += plots(figure)
-    return pictures, groups
+    return pictures, plots(draw(scenes)) if scenes else []
 
 
 def _fault_marks(outcome: ReplayResult) -> Callable[[Panel], Panel]:

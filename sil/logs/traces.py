@@ -1,4 +1,4 @@
-"""Tables of signals over time: trace CSV to MF4 with units and comments, and back."""
+"""Tables of signals over time: trace CSV to MF4 with units, and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from can_dbc.errors import InputError
-from can_dbc.messages import Fault, ShiftState
 from sil.files.atomic import open_atomically
 from sil.files.quantity import unit_of
 from sil.logs.mf4 import Mf4File, import_asammdf, is_mf4, new_measurement, save
@@ -30,36 +29,6 @@ class TraceReport:
     rows: int
     names: tuple[str, ...]
     units: tuple[str, ...]
-
-
-def comment_of(name: str) -> str:
-    """Return what a signal of a trace or a campaign is, "" for one of neither."""
-    comments = {
-        "position_m": "true position of the stay, 0 = neutral, + = backward (fixed rig: from its start)",
-        "velocity_m_s": "true speed of the stay",
-        "position_internal_m": "position as the control unit reports it: late, and held",
-        "piston_1_m": "piston 1, inward from its outer stop",
-        "piston_2_m": "piston 2, inward from its outer stop",
-        "pressure_oil2_pa": "oil damper, chamber two, absolute",
-        "spent_impulse_n_s": "impulse given to the synchronizer since it was armed",
-        "pulse_s": "time to 8 V of the position sensor's coil",
-        "input_rad_s": "speed of the input shaft, referred to the synchronizer",
-        "output_rad_s": "speed of the output shaft, referred to the synchronizer",
-        "controller_state": "state of the shift: "
-        + ", ".join(f"{s.value} {s.name}" for s in ShiftState),
-        "controller_faults": "faults reported, sum of: "
-        + ", ".join(f"{f.value} {f.name}" for f in Fault if f),
-    }
-    if name in comments:
-        return comments[name]
-    of_chamber = {
-        "pressure": "pressure of chamber {}, absolute",
-        "cmd": "duty of the coil of valve {}, 0 to 1",
-        "current": "current of the coil of valve {}",
-        "valve": "plunger of valve {}: 1 supply, 0 atmosphere",
-    }
-    match = re.fullmatch(r"(pressure|cmd|current|valve)_([BNF12])(?:_p?a)?", name)
-    return of_chamber[match[1]].format(match[2]) if match else ""
 
 
 def is_trace_csv(path: str) -> bool:
@@ -119,7 +88,7 @@ def written(path: str) -> Iterator[BinaryIO]:
 
 
 def trace_to_mf4(source: str, target: str) -> TraceReport:
-    """Write a trace as one MF4 group, every signal with its unit and comment.
+    """Write a trace as one MF4 group, every signal with its unit.
 
     Raises InputError for a torn trace, a time that falls, or when asammdf is missing.
     """
@@ -135,7 +104,7 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
     times_s, *columns = (np.ascontiguousarray(column) for column in _table(source, names).T)
     units = [unit_of(name).replace(" ", "·") for name in names[1:]]  # as MDF tools write them: N·s
     signals = [
-        asammdf.Signal(column, times_s, name=name, unit=unit, comment=comment_of(name))
+        asammdf.Signal(column, times_s, name=name, unit=unit)
         for name, unit, column in zip(names[1:], units, columns, strict=True)
     ]
     measurement = new_measurement(target, 0)

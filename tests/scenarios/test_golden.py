@@ -85,7 +85,7 @@ def test_the_firmware_answers_as_it_did(name: str) -> None:
     """A wanted change: make golden_replays, which says what changed, and commit the logs with it."""
     found = golden_replays.check(FOLDER, name)
     assert not found.differs, found.comparison.first
-    assert found.account.total == found.frames > 200
+    assert found.account.total() == found.frames > 200
 
 
 @pytest.mark.parametrize("name", NAMES)

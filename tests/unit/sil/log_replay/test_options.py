@@ -144,7 +144,6 @@ def test_every_frame_is_passed_on_or_counted() -> None:
         "CAN FD frames": 1,
         "on another channel": 1,
     }
-    assert dict(traffic.foreign) == {0x18FEF100: 1}
 
 
 def test_slightly_reordered_frames_are_taken_and_a_jump_back_is_refused() -> None:
@@ -171,10 +170,9 @@ def test_identifiers_of_another_database(tmp_path: Path) -> None:
     other = tmp_path / "other.dbc"
     moved = (ID_OF[ValveCommand] ^ 0x10) | 1 << 31
     other.write_text(DBC.replace(str(ID_OF[ValveCommand] | 1 << 31), str(moved)), encoding="ascii")
-    ids, names = ids_of_database(str(other))
+    ids = ids_of_database(str(other))
     assert ids[moved & ~(1 << 31)] is ValveCommand
     assert ID_OF[ValveCommand] not in ids
-    assert names[REQUEST] == "ShiftRequest"
 
 
 def test_a_database_with_another_layout_is_refused(tmp_path: Path) -> None:

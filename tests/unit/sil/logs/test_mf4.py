@@ -14,10 +14,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from can_dbc.errors import InputError
-from plant.trace import TRACE_COLUMNS
 from sil.logs import LogFrame, convert, open_log, open_writer
-from sil.logs.traces import comment_of, holds_signals_only, is_trace_csv
-from sil.recording.trace_csv import FIRST_COLUMNS, FROM_STATUS
+from sil.logs.traces import holds_signals_only, is_trace_csv
 from tests.support.golden_logs import write
 
 
@@ -326,15 +324,8 @@ def test_a_trace_becomes_mf4_with_units(tmp_path: Path) -> None:
         assert list(pressure.samples) == [101325.0, 101400.0]
         assert list(pressure.timestamps) == [0.0, 0.001]
         assert pressure.unit == "Pa"
-        assert pressure.comment == "pressure of chamber B, absolute"
         assert measurement.get("position_m").unit == "m"
         assert measurement.header.abs_time == 0
-
-
-def test_every_signal_of_a_run_has_a_comment() -> None:
-    assert comment_of("something_else_m") == ""
-    columns = {*FIRST_COLUMNS, *TRACE_COLUMNS, *FROM_STATUS} - {"time_s"}
-    assert [name for name in sorted(columns) if not comment_of(name)] == []
 
 
 def test_a_long_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
