@@ -35,9 +35,6 @@ def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = 
     Unless it or what it includes has changed, or the compiler had something to say, it is not compiled
     again. Raises InputError if the compiler refuses the file, and with the command that installs one.
     """
-    built = (path, sanitised, options)
-    if built in _built and _is_current(_built[built][0]):
-        return _built[built][1]
     read_user_file(path, "C source")
     flags = "-target wasm32-freestanding -std=c99 -g -c -ffp-contract=off -fno-math-errno -mbulk-memory "
     flags += (
@@ -51,8 +48,7 @@ def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = 
     stored = _CACHE / "c" / sha256(key.encode()).hexdigest()
     with contextlib.suppress(OSError, ValueError):
         head, _, module = stored.read_bytes().partition(b"\n")
-        _built[built] = json.loads(head), module
-        if _is_current(_built[built][0]):
+        if all(_stamp(file) == stamp for file, stamp in json.loads(head).items()):
             return module
     with tempfile.TemporaryDirectory(prefix="opc4-") as folder:
         Path(folder, "opc4.h").write_text(header())
@@ -73,19 +69,7 @@ def compiled(path: Path, *, sanitised: bool = False, options: tuple[str, ...] = 
             if not said:
                 stored.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(stored, json.dumps(stamps).encode() + b"\n" + module)
-                _built[built] = stamps, module
         return module
-
-
-_built: dict[tuple[Path, bool, tuple[str, ...]], tuple[dict[str, list[int]], bytes]] = {}
-"""Of this process: what each module was made of, and the module."""
-
-
-def _is_current(stamps: dict[str, list[int]]) -> bool:
-    """Return whether no file has changed since then."""
-    with contextlib.suppress(OSError):
-        return all(_stamp(file) == stamp for file, stamp in stamps.items())
-    return False
 
 
 def _stamp(file: str | Path) -> list[int]:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate, pairwise
-from math import pi
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.codec import encode
 from can_dbc.errors import InputError
 from can_dbc.frame import join_id
 from can_dbc.instants import NS_PER_S
+from can_dbc.messages import GEAR_PARK, Etc1, Etc2
 from sil.files.quantity import counted
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.logs import LogFrame
@@ -139,23 +140,24 @@ class TruckLog:
         rows = self.mapping.rows
         latest = self._latest.setdefault((sender.channel, sender.source), {})
         carried = {row.meaning for row in rows if row.message == sender.message}
-        followed: list[tuple[_Taker, int, Callable[[dict[Meaning, float]], bytes]]] = []
-        for meanings, pgn, encode in (
+        followed: list[tuple[_Taker, int, Callable[[dict[Meaning, float]], Etc1 | Etc2]]] = []
+        for meanings, pgn, message in (
             (_FLAG_AND_SPEEDS, PGN_ETC1, _etc1),
             (GEARS, PGN_ETC2, _etc2),
         ):
             can_id = join_id(6, pgn, sender.source)
             take = finder.follow(sender.channel, can_id) if carried.intersection(meanings) else None
             if take is not None:
-                followed.append((take, can_id, encode))
+                followed.append((take, can_id, message))
 
         def translate(frame: LogFrame) -> None:
             for meaning in carried:
                 latest.pop(meaning, None)
             for index, value in self.mapping.values(sender, frame.data).items():
                 latest.setdefault(rows[index].meaning, value)
-            for take, can_id, encode in followed:
-                take(LogFrame(frame.time_ns, can_id, encode(latest), channel=frame.channel))
+            for take, can_id, message in followed:
+                data = encode(message(latest)).data
+                take(LogFrame(frame.time_ns, can_id, data, channel=frame.channel))
 
         return translate
 
@@ -242,21 +244,17 @@ class TruckLog:
         ]
 
 
-def _etc1(latest: dict[Meaning, float]) -> bytes:
-    state = {0.0: 0, 1.0: 1}.get(latest.get("shift_in_process", 3.0), 3)
-    entry, output = (_word(latest.get(name)) for name in SHAFT_SPEEDS)
-    return bytes((0xCF | state << 4, *output, 0xFF, 0xFF, *entry, 0xFF))
+def _etc1(latest: dict[Meaning, float]) -> Etc1:
+    speeds = (latest.get(name, -1.0) for name in SHAFT_SPEEDS)
+    entry, output = (max(w, 0.0) if -0.006 < w < 841.0 else None for w in speeds)  # to 8031 rpm
+    shifts = {0.0: False, 1.0: True}.get(latest.get("shift_in_process", -1.0))
+    return Etc1(shift_in_process=shifts, input_shaft_rad_s=entry, output_shaft_rad_s=output)
 
 
-def _word(speed_rad_s: float | None) -> Sequence[int]:
-    raw = -1 if speed_rad_s is None else round(speed_rad_s / (0.125 * pi / 30.0))
-    return (raw if 0 <= raw <= 0xFAFF else 0xFFFF).to_bytes(2, "little")  # FFFF: not available
-
-
-def _etc2(latest: dict[Meaning, float]) -> bytes:
-    current, selected = (_gear(latest.get(name)) for name in GEARS)
-    return bytes((selected, 0xFF, 0xFF, current, 0xFF, 0xFF, 0xFF, 0xFF))
-
-
-def _gear(gear: float | None) -> int:
-    return round(gear) + 125 if gear is not None and -125 <= round(gear) <= 126 else 0xFF
+def _etc2(latest: dict[Meaning, float]) -> Etc2:
+    gears = (latest.get(name) for name in GEARS)
+    current, selected = (
+        None if gear is None or not -125 < round(gear) <= GEAR_PARK else round(gear)
+        for gear in gears
+    )
+    return Etc2(selected, current_gear=current)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest
 from typing import Any, Final
 
 from can_dbc.frame import split_id
 from can_dbc.messages import GEAR_PARK
-from sil.files.quantity import counted
 from sil.logs.frame import LogFrame
 from sil.logs.times import format_ns
 from sil.shifts.engine import PGN_EEC1, EngineFigures, EngineTrace
@@ -27,9 +26,6 @@ class Shift:
     from_gear, to_gear: None if unknown; negative is reverse, 0 neutral, 126 park.
     from_ratio, to_ratio: input by output shaft speed before and after, None where not known.
     method: "flag" (SPN 574, shift in process) or "gear" (SPN 523, current gear changed).
-    chatter: one-sample changes of the flag left out inside.
-    silent_ns: how long its sender was not recorded from the last sample before the shift to its end:
-    so much shorter the shift may have been, or longer if it began unrecorded.
     engine: torque and speed around it, None if the log has no EEC1 there.
     """
 
@@ -40,10 +36,8 @@ class Shift:
     source: int
     channel: str
     method: str
-    chatter: int = 0
     from_ratio: float | None = None
     to_ratio: float | None = None
-    silent_ns: int = 0
     engine: EngineFigures | None = None
 
     @property
@@ -63,13 +57,12 @@ class Shift:
     def __str__(self) -> str:
         sender = f"source {self.source:#04x}" + (f" on {self.channel}" if self.channel else "")
         when = f"{format_ns(self.start_ns)} s to {format_ns(self.end_ns)} s"
-        silent = f", {self.silent_ns / 1e9:.3f} s of it not recorded" if self.silent_ns else ""
         ratio = ""
         if self.from_ratio is not None and self.to_ratio is not None:
             ratio = f", ratio {self.from_ratio:.2f} to {self.to_ratio:.2f}"
         engine = f", {self.engine}" if self.engine else ""
         how = f"{ratio}, {sender}, by {self.method}{engine}"
-        return f"{when} ({self.duration_s:.3f} s{silent}): {self.gears}{how}"
+        return f"{when} ({self.duration_s:.3f} s): {self.gears}{how}"
 
 
 def gear_name(gear: int | None) -> str:
@@ -129,17 +122,12 @@ class ShiftFinder:
             source = f"source {sender[1]:#04x}"
             if tracker.clock_steps:
                 self.notes.append(f"{source}: the clock stepped back {tracker.clock_steps} times")
-            if silent := sum(shift.silent_ns > 0 for shift in tracker.shifts):
-                self.notes.append(
-                    f"{source}: not recorded for over 1 s in {counted(silent, 'shift')}, "
-                    "so no times in them are known better"
-                )
             flagged += self._flagged(sender, tracker)
         shifts = self._once(flagged)
         flagged_channels = {shift.channel for shift in flagged}
         for sender, history in self._gears.items():
-            by_gear = self._by_gear(sender, history)
-            alone = [s for s in by_gear if not _near_any(s, flagged)]
+            by_gear = (Shift(*change, sender[1], sender[0], "gear") for change in history.changes())
+            alone = [shift for shift in by_gear if not _near_any(shift, flagged)]
             if sender[0] in flagged_channels:
                 self.unflagged += alone
             else:
@@ -153,22 +141,6 @@ class ShiftFinder:
             self._explain()
         shifts = [replace(shift, engine=self._engine(shift)) for shift in shifts]
         return sorted(shifts, key=lambda shift: (shift.start_ns, shift.source, shift.channel))
-
-    def _by_gear(self, sender: tuple[str, int], history: GearHistory) -> list[Shift]:
-        """Return the changes of gear of a sender; one while it was silent has no shift time."""
-        shifts = []
-        for change in history.changes():
-            shift = Shift(*change, sender[1], sender[0], "gear")
-            silent_ns = history.silences.within(shift.start_ns + 1, shift.end_ns)
-            if not silent_ns:
-                shifts.append(shift)
-            elif len(self.notes) < 20:
-                self.notes.append(
-                    f"source {sender[1]:#04x} was silent for {silent_ns / 1e9:.3f} s at "
-                    f"{format_ns(shift.start_ns)} s, then in {gear_name(shift.to_gear)} instead of "
-                    f"{gear_name(shift.from_gear)}: the shift between has no known time"
-                )
-        return shifts
 
     def _engine(self, shift: Shift) -> EngineFigures | None:
         if shift.channel not in self.engines:
@@ -233,33 +205,7 @@ class ShiftFinder:
                 method="flag",
             )
             shifts.append(shift)
-        return _with_gears_by_ratio(shifts)
-
-
-def _with_gears_by_ratio(shifts: list[Shift]) -> list[Shift]:
-    """Fill in gears that nothing reported, from speed ratios that are known for gears."""
-    ratios: dict[int, float] = {}
-    for shift in shifts:
-        sides = (shift.from_gear, shift.from_ratio), (shift.to_gear, shift.to_ratio)
-        for gear, ratio in sides:
-            if gear and ratio is not None:
-                ratios.setdefault(gear, ratio)
-    return [
-        replace(
-            shift,
-            from_gear=_by_ratio(shift.from_gear, shift.from_ratio, ratios),
-            to_gear=_by_ratio(shift.to_gear, shift.to_ratio, ratios),
-        )
-        for shift in shifts
-    ]
-
-
-def _by_ratio(gear: int | None, ratio: float | None, ratios: Mapping[int, float]) -> int | None:
-    if gear is not None or ratio is None or not ratios:
-        return gear
-    nearest = min(ratios, key=lambda candidate: abs(ratios[candidate] - ratio))
-    close = abs(ratios[nearest] - ratio) <= 0.05 * ratios[nearest]
-    return nearest if close else None
+        return shifts
 
 
 def _near_any(shift: Shift, flagged: Iterable[Shift]) -> bool:

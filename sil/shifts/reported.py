@@ -17,8 +17,8 @@ PGN_ETC2: Final = 61445
 SETTLE_NS: Final = 1_000_000_000
 """After a shift the reported gear may lag so long behind (ETC2 comes every 100 ms)."""
 
-MIN_SILENCE_NS: Final = 1_000_000_000
-"""A sender that is not recorded for longer was silent, or the recorder was."""
+MIN_SILENCE_NS: Final = 1_500_000_000
+"""A sender that is not recorded for longer was silent, or the recorder was: a shift has no known time in it."""
 
 RATIO_WINDOW_NS: Final = 500_000_000
 """Shaft speeds are compared over this time before and after a shift."""
@@ -47,43 +47,21 @@ def gear_at(data: bytes, byte: int) -> int | None:
 
 
 @dataclass(slots=True)
-class Silences:
-    """The times in which a sender was not recorded: `add` each, and count its samples."""
-
-    samples: int = 0
-    _gaps: list[tuple[int, int]] = field(default_factory=list)
-
-    def add(self, last_ns: int, time_ns: int) -> None:
-        """Take the times of two samples in a row that are farther apart than `MIN_SILENCE_NS`."""
-        self._gaps.append((last_ns, time_ns))
-
-    def within(self, begin_ns: int, end_ns: int) -> int:
-        """Return the ns of the silences that overlap a time; none count in a log sampled slowly."""
-        if 10 * len(self._gaps) > self.samples:
-            return 0
-        return sum(b - a for a, b in self._gaps if a < end_ns and b >= begin_ns)
-
-
-@dataclass(slots=True)
 class FlaggedShift:
-    """A time in which the flag was up, and the speed ratios (input by output) around it.
-
-    silent_ns: how long the sender was not recorded meanwhile.
-    """
+    """A time in which the flag was up, and the speed ratios (input by output) around it."""
 
     start_ns: int
     end_ns: int
-    chatter: int
     from_ratio: float | None
     to_ratio: float | None = None
-    silent_ns: int = 0
 
 
 @dataclass(slots=True)
 class FlagTracker:
     """Follows the flag of one sender.
 
-    A change counts from its first sample, once a second sample or 50 ms confirms it.
+    A change counts from its first sample, once a second sample or 50 ms confirms it. After a silence, and after
+    a step of the clock backwards, it begins anew.
     flagged: whether there was a valid flag; chatter: samples taken out as chatter;
     unfinished: shifts of which the log has no beginning or no end.
     """
@@ -93,11 +71,9 @@ class FlagTracker:
     unfinished: int = 0
     clock_steps: int = 0
     shifts: list[FlaggedShift] = field(default_factory=list)
-    silences: Silences = field(default_factory=Silences)
     _state: bool | None = None
     _begun_ns: int | None = None
     _doubt_ns: int | None = None
-    _shift_chatter: int = 0
     _from_ratio: float | None = None
     _last_ns: int = -(2**63)
     _samples: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=1024))
@@ -107,15 +83,13 @@ class FlagTracker:
     def take(self, time_ns: int, data: bytes) -> bool | None:
         """Take one ETC1 and return its flag; one that is there twice at an instant counts once."""
         last_ns = self._last_ns
-        if not last_ns < time_ns <= last_ns + MIN_SILENCE_NS and self._samples:
-            if time_ns > last_ns:
-                self.silences.add(last_ns, time_ns)
-            elif time_ns < last_ns:
+        if self._samples and not last_ns < time_ns <= last_ns + MIN_SILENCE_NS:
+            if time_ns != last_ns:
+                self.clock_steps += time_ns < last_ns
                 self._restart()
             elif data == self._samples[-1][1]:
                 return None
         self._last_ns = time_ns
-        self.silences.samples += 1
         self._samples.append((time_ns, data))
         if time_ns > self._settled_ns:
             self._settle()
@@ -126,8 +100,7 @@ class FlagTracker:
         return flag
 
     def _restart(self) -> None:
-        """Begin anew after a step of the clock backwards."""
-        self.clock_steps += 1
+        """Begin anew: what is under way has no end that is known."""
         self._settle()
         if self._state:
             self.unfinished += 1
@@ -147,7 +120,6 @@ class FlagTracker:
             self._doubt_ns = None
             if time_ns - doubt_ns < 50_000_000:
                 self.chatter += 1
-                self._shift_chatter += 1
             else:
                 self._change(doubt_ns)
                 self._change(time_ns)
@@ -158,14 +130,13 @@ class FlagTracker:
         if not self._state:
             self._settle()
             self._state, self._begun_ns = True, time_ns
-            self._shift_chatter = 0
             self._from_ratio = self._ratio(time_ns - RATIO_WINDOW_NS, time_ns)
             return
         self._state = False
         if self._begun_ns is None:
             self.unfinished += 1
             return
-        shift = FlaggedShift(self._begun_ns, time_ns, self._shift_chatter, self._from_ratio)
+        shift = FlaggedShift(self._begun_ns, time_ns, self._from_ratio)
         self.shifts.append(shift)
         self._settling = shift
         self._settled_ns = time_ns + RATIO_SETTLE_NS + RATIO_WINDOW_NS
@@ -196,8 +167,6 @@ class FlagTracker:
         if self._state:
             self.unfinished += 1
             self._state = None
-        for shift in self.shifts:
-            shift.silent_ns = self.silences.within(shift.start_ns, shift.end_ns)
 
 
 @dataclass(slots=True)
@@ -222,15 +191,9 @@ class GearHistory:
 
     chatter: int = 0
     runs: list[GearRun] = field(default_factory=list)
-    silences: Silences = field(default_factory=Silences)
-    _last_ns: int = 0
 
     def take(self, time_ns: int, data: bytes) -> bool:
         """Take one ETC2; return whether its gears differ from those before."""
-        self.silences.samples += 1
-        if self.silences.samples > 1 and time_ns - self._last_ns > MIN_SILENCE_NS:
-            self.silences.add(self._last_ns, time_ns)
-        self._last_ns = time_ns
         current, selected = gear_at(data, 3), gear_at(data, 0)
         last = self.runs[-1] if self.runs else None
         same = last is not None and (last.current, last.selected) == (current, selected)
@@ -266,20 +229,21 @@ class GearHistory:
         """Return shifts by the current gear alone: last sample of the old, first of the new one, both gears.
 
         Neutral for less than 2 s is part of a shift. A single sample of another gear between samples of the
-        same gear is chatter. A gear that is another after a step of the clock backwards is no shift: its time
-        is not known.
+        same gear is chatter. A gear that is another after a silence, or a step of the clock backwards, is no shift: its
+        time is not known.
         """
         stays = self._stays()
         changes = []
         index = 0
         while index + 1 < len(stays):
             here, there = stays[index], stays[index + 1]
-            step = 1
+            step, longest_ns = 1, MIN_SILENCE_NS
             if there.current == 0 and index + 2 < len(stays):
                 beyond = stays[index + 2]
                 if beyond.first_ns - there.first_ns < 2_000_000_000:
-                    there, step = beyond, 2
-            if here.current != there.current and here.last_ns <= there.first_ns:
+                    there, step, longest_ns = beyond, 2, MIN_SILENCE_NS + 2_000_000_000
+            lasts_ns = there.first_ns - here.last_ns
+            if here.current != there.current and 0 <= lasts_ns <= longest_ns:
                 changes.append((here.last_ns, there.first_ns, here.current, there.current))
             index += step
         return changes
