@@ -182,8 +182,7 @@ class AscReader(TextReader):
     _decimal = _deltas = False
     _origin_ns = _last_ns = 0
     _block_ns: int | None = None
-    _measuring = False  # a line with a time came after the latest date
-    _further = False  # the header of a second measurement came: logs were joined
+    _measuring = False  # a line with a time came
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         """Return the frames if the header came before and has hex numbers and plain times."""
@@ -220,7 +219,7 @@ class AscReader(TextReader):
                 raise ValueError("the last line has no end and may be cut short") from None
             # "Start of measurement" at 0: times count from the date of the block (python-can)
             if not other.name and time_ns == 0 and self._block_ns is not None:
-                self._count_from(self._block_ns, line.number)
+                self._count_from(self._block_ns)
             raise
         if line.unterminated and not event.whole:
             raise ValueError("the last line has no end and may be cut short")
@@ -260,8 +259,8 @@ class AscReader(TextReader):
                 expected = "expected one as date Sat Sep 30 10:06:13.191 2017"
                 raise InputError(f"{report.path}: line {number}: {text[:60]!r}; {expected}")
             if self._measuring:
-                self._measuring, self._further, self._last_ns = False, True, 0
-            self._count_from(start_ns, number)
+                report.refuse_second(Location("", line=number))
+            self._count_from(start_ns)
             return
         if block := re.match(r"begin\s+triggerblock\b(.*)\Z", text, re.IGNORECASE):
             self._block_ns = parse_date(block[1])
@@ -270,15 +269,10 @@ class AscReader(TextReader):
         ):
             raise ValueError(f"{text[:40]!r} is no ASC line")
 
-    def _count_from(self, start_ns: int, number: int) -> None:
+    def _count_from(self, start_ns: int) -> None:
         """Set the start of the measurement, which a header states without a zone."""
         self._report.note(ZONE_NOTE)
-        if not self._further:
-            self._report.start_ns = start_ns
-        elif self._report.time_base == "absolute":
-            self._origin_ns = start_ns
-        else:
-            self._origin_ns = self._report.further(start_ns, Location("", line=number))
+        self._report.start_ns = start_ns
 
 
 class AscWriter(TextWriter):

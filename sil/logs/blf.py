@@ -249,10 +249,7 @@ class BlfReader:
                 locations.append(container or offset + pos)
                 pos += PLAIN.size
             if not container and (mark := data.find(b"LOGG", pos, pos + 8)) >= 0:
-                if end - mark < FILE_HEADER_SIZE:
-                    break
-                pos = mark + self._further(data, mark, offset)
-                continue
+                self._report.refuse_second(Location("", byte=offset + mark))
             begin, mark = pos, data.find(b"LOBJ", pos, pos + 8)
             if mark < 0 and end - pos < 8:
                 pos = pos if data[pos:].strip(b"\x00") else end
@@ -307,28 +304,20 @@ class BlfReader:
         header = self._exactly(FILE_HEADER.size)
         if len(header) < FILE_HEADER.size or header[:4] != b"LOGG":
             raise InputError(f"{self._report.path}: byte 0: no BLF header; expected a BLF log")
-        size, self._stated_end, self._start_ns = self._stated(header, 0)
+        fields = FILE_HEADER.unpack_from(header)
+        size, self._stated_end, self._start_ns = (
+            fields[1],
+            fields[10],
+            read_systemtime(fields[14:22]),
+        )
+        if not FILE_HEADER.size <= size <= 4096:
+            self._report.skip(Location(f"a file header of {size} bytes", byte=4))
+            size = FILE_HEADER_SIZE
         self._exactly(size - FILE_HEADER.size)
         self._report.start_ns = self._start_ns or None
         self._report.time_base = time_base(self._start_ns)
         if self._start_ns:
             self._report.note(ZONE_NOTE)
-        return size
-
-    def _stated(self, header: bytes, offset: int) -> tuple[int, int, int]:
-        """Return the size of a header at an offset, the file's end and its start in ns, as stated."""
-        fields = FILE_HEADER.unpack_from(header)
-        size, end = fields[1], offset + fields[10]
-        if not FILE_HEADER.size <= size <= 4096:
-            self._report.skip(Location(f"a file header of {size} bytes", byte=offset + 4))
-            size = FILE_HEADER_SIZE
-        return size, end, read_systemtime(fields[14:22])
-
-    def _further(self, data: bytes, pos: int, offset: int) -> int:
-        """Begin a second measurement, as joined files have it; return the size of its header."""
-        self._drop_tail()
-        size, self._stated_end, self._start_ns = self._stated(data[pos:], offset + pos)
-        self._report.further(self._start_ns or None, Location("", byte=offset + pos))
         return size
 
     def _exactly(self, size: int) -> bytes:

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from can_dbc.errors import InputError
 from sil.files.quantity import counted
@@ -121,18 +121,10 @@ class LogReport:
         if self.strict:
             raise InputError(f"{self.path}: {location}; expected a log that is not cut off")
 
-    def further(self, start_ns: int | None, location: Location) -> int:
-        """Return where a second measurement in one file begins, from the first one's start.
-
-        Raises InputError if the start of one of them is not known.
-        """
+    def refuse_second(self, location: Location) -> NoReturn:
+        """Refuse a file in which logs were joined, with times of their own. Raises InputError."""
         location = replace(location, reason="a second measurement begins")
-        if self.start_ns is None or start_ns is None:
-            raise InputError(
-                f"{self.path}: {location}, and not both have a date; expected a file for each"
-            )
-        self.note(f"{location}: its times count from its own date")
-        return start_ns - self.start_ns
+        raise InputError(f"{self.path}: {location}; expected a file for each")
 
     def note(self, text: str) -> None:
         """Add a remark, each only once."""

@@ -119,9 +119,8 @@ class TrcReader(TextReader):
                 start_ns = utc_ns(year, month, day, hour, minute, second, milli * NS_PER_MS)
                 report.note(ZONE_NOTE)
                 if self._measuring and self._version in ("", "1.0"):
-                    self._origin_ns = report.further(start_ns, Location("", line=number))
-                else:
-                    report.start_ns = start_ns
+                    report.refuse_second(Location("", line=number))
+                report.start_ns = start_ns
 
     def _time(self, text: str) -> int:
         """Milliseconds from the start as nanoseconds from 1970 or from the start."""
