@@ -305,11 +305,8 @@ class BlfReader:
         if len(header) < FILE_HEADER.size or header[:4] != b"LOGG":
             raise InputError(f"{self._report.path}: byte 0: no BLF header; expected a BLF log")
         fields = FILE_HEADER.unpack_from(header)
-        size, self._stated_end, self._start_ns = (
-            fields[1],
-            fields[10],
-            read_systemtime(fields[14:22]),
-        )
+        size: int = fields[1]
+        self._stated_end, self._start_ns = fields[10], read_systemtime(fields[14:22])
         if not FILE_HEADER.size <= size <= 4096:
             self._report.skip(Location(f"a file header of {size} bytes", byte=4))
             size = FILE_HEADER_SIZE
