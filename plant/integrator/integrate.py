@@ -13,7 +13,7 @@ from plant.integrator.filling import FOLLOW_GRID
 from plant.integrator.loop import Motion, control_of, run_of, scratch_of
 from plant.integrator.rest import pass_rest
 from plant.kernel import layout
-from plant.kernel.compiled import called, kernel
+from plant.kernel.compiled import called, inlined, kernel
 from plant.kernel.views import view
 
 
@@ -66,14 +66,27 @@ def begin_piece(r, k, o, task, leaping):
     return handle_event(index, r, k, o, task) if index >= 0 else status
 
 
+@inlined
+def fills(m):
+    """Return True if a user's cylinder rests: its chambers become as full as the supply, which makes it stiff."""
+    return m.masses != 0 and event.at_rest(m)
+
+
+@inlined
+def is_stiff(m):
+    """Return True if steps of an explicit method would be short for stability alone."""
+    return m.damper == layout.COMPRESSIBLE or fills(m)
+
+
 @called
 def try_step(r, k, o):
-    """One step of the method that the damper's model asks for; error norm and its root's power."""
+    """One step of the method that the modes ask for; error norm and its root's power."""
     n = k.states
     n_all = n + k.quadratures
-    if o.m.damper == layout.COMPRESSIBLE:
+    if is_stiff(o.m):
         if k.has_jacobian == 0:
-            steppers.differentiate(o, r, n, n_all, k.quadratures > 0)
+            resting = 2 if fills(o.m) else 0  # position and speed
+            steppers.differentiate(o, r, n, n_all, k.quadratures > 0, resting)
             k.has_jacobian = 1
         return steppers.stiff_step(o, r, n, n_all, k.quadratures > 0), 0.25
     for i in range(n_all):
@@ -93,7 +106,7 @@ def reject(r, k, h, explicit):
 @called
 def judge_step(r, k, o, norm, power, follow):
     """Accept a step and choose the size of the next; STEPPING, AGAIN if rejected, or why to stop."""
-    explicit = o.m.damper != layout.COMPRESSIBLE
+    explicit = not is_stiff(o.m)
     h = r.step
     if not norm <= 1.0e300:
         if 0.1 * h < 1e-14 or follow:
@@ -121,7 +134,7 @@ def find_event(r, k, o, task):
     h = r.step
     end = r.time + h
     n_all = k.states + k.quadratures
-    explicit = o.m.damper != layout.COMPRESSIBLE
+    explicit = not is_stiff(o.m)
     fired = False
     theta = 1.0
     if loop.expects_event(task, k.steps - 1):
@@ -156,7 +169,7 @@ def finish_step(r, k, o, task):
         status = handle_event(index, r, k, o, task)
         r.wanted = min(r.wanted, max(loop.STEP_AFTER_EVENT_S, 0.3 * h))
         return status
-    if o.m.damper == layout.COMPRESSIBLE:
+    if is_stiff(o.m):
         steppers.derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
     k.has_jacobian = 0
     return loop.STEPPING

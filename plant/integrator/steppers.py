@@ -198,8 +198,11 @@ def interpolate(theta, dense, out, n_all):
 
 
 @called
-def differentiate(o, r, n, n_all, quadratures):
-    """Compute the derivatives of f = k[6] = f(t, y) by forward differences: by states -> jacobian, by time."""
+def differentiate(o, r, n, n_all, quadratures, resting):
+    """Compute the derivatives of f = k[6] = f(t, y) by forward differences: by states -> jacobian, by time.
+
+    By the first `resting` states, which do not change, they are zero: so these stay exactly where they are.
+    """
     t = r.time
     y = o.y
     f = r.k[6]
@@ -208,7 +211,10 @@ def differentiate(o, r, n, n_all, quadratures):
     jacobian = r.jacobian
     for i in range(n_all):
         stage[i] = y[i]
-    for j in range(n):
+    for j in range(resting):
+        for i in range(n_all):
+            jacobian[i, j] = 0.0
+    for j in range(resting, n):
         delta = 1.5e-8 * max(abs(y[j]), r.scale[j])
         stage[j] = y[j] + delta
         delta = stage[j] - y[j]

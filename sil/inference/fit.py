@@ -348,7 +348,7 @@ class Fitter:
                 effects_first = 0
             elif gain == "none" and stale:
                 reused = {}
-            elif fine and not central:
+            elif fine and not central and not self.model.has_tangents:
                 central = True
             elif gain == "none":
                 return descent.result(done)

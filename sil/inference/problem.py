@@ -83,7 +83,7 @@ class Problem(ABC):
     """Measured blocks and the healthy spread: what any hypothesis is compared with.
 
     unit, offsets, scatter: names of the shared healthy parameters and of those of one block;
-    measured: by block, all compared numbers [n].
+    measured: by block, all compared numbers [n]; has_tangents: its derivatives are no differences of finite steps.
 
     A front end is a package of `sil/inference/` (a layer in pyproject.toml) with a class derived from this one.
     `diagnose` in campaign/diagnosis.py shows the order: the problem, of records and `Spread.of`; `candidates`
@@ -96,6 +96,7 @@ class Problem(ABC):
     offsets: tuple[str, ...]
     scatter: tuple[str, ...]
     measured: list[Floats]
+    has_tangents = False
 
     def layout(self, candidates: Sequence[Candidate]) -> Shared:
         """Layout of the shared parameters under a hypothesis."""

@@ -60,7 +60,7 @@ class Budget:
     alike_evidence: float = 4.0
     """Log evidence below which the data cannot distinguish two causes."""
     terms: int = 2
-    term_iterations: int = 6
+    term_iterations: int = 3
     max_unexplained_share: float = 1e-3
     """Share of the healthy misfit, beyond noise, that is a detail of a cause's form."""
 
@@ -316,19 +316,19 @@ class Search:
             tasks.append(Task.beside(healthy, item, item.starts, parent=healthy.name))
             if item.effect.rugged or (item.effect.tolerance and is_strained):
                 tasks += [Task((item,), ((start,),)) for start in item.starts]
-        self.first = self.run_tasks(self.hopeful(tasks))
+        self.first = self.run_tasks(self.hopeful(tasks, BUDGET.approached))
         self.polish(_promising(self.first, BUDGET.singles))
 
-    def hopeful(self, tasks: list[Task]) -> list[Task]:
-        """Return the tasks worth a whole fit, by what their causes alone reach."""
-        if len(tasks) <= BUDGET.approached:
+    def hopeful(self, tasks: list[Task], least: int) -> list[Task]:
+        """Return at least so many tasks, those worth a whole fit, by what their causes alone reach."""
+        if len(tasks) <= least:
             return tasks
         reached = [r for r in fitted(self.fitter, self.approach, tasks, self.workers) if r]
         reached.sort(key=lambda item: item[0])
         return [
             task
             for k, (cost, task) in enumerate(reached)
-            if k < BUDGET.approached or cost < BUDGET.max_approached_ratio * reached[0][0]
+            if k < least or cost < BUDGET.max_approached_ratio * reached[0][0]
         ]
 
     def pairs(self) -> None:
@@ -421,7 +421,7 @@ class Search:
             for parent in (self.healthy, *better)
             if compatible(item, parent.candidates)
         ]
-        self.polish(self.run_tasks(tasks)[: BUDGET.terms])
+        self.polish(self.run_tasks(self.hopeful(tasks, BUDGET.terms))[: BUDGET.terms])
         return bool(tasks)
 
     def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:

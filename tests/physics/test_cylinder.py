@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from plant.batch.prediction import Predictor
 from plant.devices.spool import Spool
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.effects.tolerances import shift
 from plant.errors import InputError
+from plant.integrator.loop import Control
 from plant.kernel.compiled import plain
 from plant.kernel.layout import FixedState
 from plant.parameters import load
@@ -133,6 +135,17 @@ def test_a_filled_chamber_is_as_warm_as_its_energy_says_and_cools_to_the_walls(t
     assert kelvin == pytest.approx(energy / (mass[-1] * cv), rel=1e-5) and kelvin > 350.0
     cooled = filled(tmp_path, SUPPLY, wall_heat=5e3)
     assert cooled[0][-1] * volume / (cooled[1][-1] * gas) == pytest.approx(293.15, abs=0.5)
+
+
+def test_a_full_cylinder_at_rest_is_passed_in_long_steps(tmp_path) -> None:
+    setup = make_setup(load(model(tmp_path, acting=2.0)), extend())
+    instants_ns = np.rint(TIME_S * 1e9).astype(np.int64)
+    exact = Predictor(instants_ns, 1e-11).states(setup)
+    predictor = Predictor(instants_ns)
+    assert predictor.states(setup) == pytest.approx(exact, rel=1e-5, abs=1e-6)
+    assert predictor._control[Control.steps] < 300  # 0.2 s of them full
+    full = exact[:, FixedState.p_1] > 0.99 * SUPPLY
+    assert np.count_nonzero(full) > 100 and exact[full, FixedState.v].max() == 0.0
 
 
 @pytest.mark.parametrize(("exponent", "ends"), [(0.0, 1.0), (0.5, 0.3), (1.0, 0.0)])

@@ -48,7 +48,7 @@ class Method:
         one = SimpleNamespace(y=run.y, du=np.ones(3))
         if self.stiff:
             run.k[6, :n] = self.rhs(t, y)
-            plain.differentiate(one, run, n, n, False)
+            plain.differentiate(one, run, n, n, False, 0)
             run.time_rate[:n] = (self.rhs(t + 1e-6, y) - self.rhs(t - 1e-6, y)) / 2e-6
             norm = plain.stiff_step(one, run, n, n, False)
             plain.stiff_dense(run.y, run.y1, run.k, run.dense, n)

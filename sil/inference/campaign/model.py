@@ -59,6 +59,8 @@ class CampaignModel(Problem):
         # where each stroke was simulated last: a step that is accepted is linearised there
         self._last: dict[int, tuple[tuple[Any, ...], Setup, Floats]] = {}
         self._residual: dict[int, Floats] = {}
+        # the healthy setup that each stroke had last: causes and their values are tried on the same one
+        self._healthy: dict[int, tuple[dict[str, float], Setup]] = {}
 
     # --- prediction ---------------------------------------------------------------------------
     def setup(
@@ -69,10 +71,14 @@ class CampaignModel(Problem):
         values: Sequence[Mapping[str, float]],
     ) -> Setup:
         """Stroke k's setup with healthy amounts and effects applied."""
-        setup = self.strokes[k].setup.copy()
-        for name, amount in amounts.items():
-            if amount != 0.0:
-                shift(setup, name, amount)
+        last = self._healthy.get(k)
+        if last is None or last[0] != amounts:
+            healthy = self.strokes[k].setup.copy()
+            for name, amount in amounts.items():
+                if amount != 0.0:
+                    shift(healthy, name, amount)
+            last = self._healthy[k] = dict(amounts), healthy
+        setup = last[1].copy()
         for candidate, parameters in zip(candidates, values, strict=True):
             candidate.change(setup, parameters)
         return setup
@@ -332,6 +338,8 @@ class TangentModel(CampaignModel):
     `Predictor.derivatives` moves every quantity by a millionth in one call, events included.
     """
 
+    has_tangents = True
+
     def derivatives(
         self,
         k: int,
@@ -351,16 +359,9 @@ class TangentModel(CampaignModel):
                 h = 1e-9 * (_delay_ns(setups[-1], name) - _delay_ns(setup, name))
             sizes.append(h)
         predictor = self.strokes[k].predictor
-        if setup.p.air_kappa == 0.0:
-            states, all_rates = predictor.derivatives(setup, setups, sizes)
-        else:
-            # chambers that are full make a cylinder stiff, and steps at the limit of stability magnify a
-            # neighbour's distance, never the opposite: the least of several sequences of steps is right
-            others = [
-                predictor.derivatives(setup, setups, sizes, tolerance=t) for t in (1e-8, 3e-9, 1e-9)
-            ]
-            states = others[0][0]
-            all_rates = list(map(_least, zip(*(rates for _states, rates in others), strict=True)))
+        states, all_rates = predictor.derivatives(
+            setup, setups, sizes, tolerance=predictor.tolerance
+        )
         base = self.numbers_of(k, setup, states, False)
         columns: dict[str, Floats] = {}
         for (name, step), other, h, rates in zip(
@@ -371,15 +372,6 @@ class TangentModel(CampaignModel):
             else:
                 columns[name] = (self.numbers_of(k, other, states + h * rates, False) - base) / h
         return base, columns
-
-
-def _least(rates: Sequence[Floats | None]) -> Floats | None:
-    """Return the derivative [n, states] in which each state changes least in all; None without any."""
-    some = [one for one in rates if one is not None]
-    if not some:
-        return None
-    least = np.argmin([np.sum(one**2, axis=0) for one in some], axis=0)
-    return np.stack([some[j][:, column] for column, j in enumerate(least)], axis=1)
 
 
 def model_of(strokes: Sequence[StrokeObservation], spread: Spread) -> CampaignModel:
