@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -13,7 +12,6 @@ from can_dbc.frame import split_id
 from sil.files.quantity import counted
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
-from sil.logs.registry import open_log
 from sil.shifts.cutter import Shift, ShiftFinder
 from sil.shifts.engine import EngineTrace
 
@@ -33,7 +31,7 @@ class J1939Summary:
     groups: frames by parameter group and source. unflagged: changes of the reported gear with
     no flagged shift around them. chatter: flag changes of one sample left out.
     unfinished: shifts under way where the log (or its clock) begins or ends. first_ns: time of the log's
-    first frame. transport: what became of long messages. engines: by channel, around shifts.
+    first frame. transport: what became of long messages. engines: by channel.
     """
 
     frames: int
@@ -84,16 +82,13 @@ class J1939Summary:
         return lines + self.transport.lines() + self.notes
 
 
-def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
-    """Parameter groups, senders and shifts of a truck's log, in one pass and bounded memory.
-
-    Raises InputError if `log` is a file that cannot be read.
-    """
+def summarize(log: Iterable[LogFrame]) -> J1939Summary:
+    """Parameter groups, senders and shifts of a truck's log, in one pass."""
     finder = ShiftFinder()
     transport = Assembler()
     identifiers: dict[tuple[str, int], _Identifier] = {}
     others = 0
-    frames = iter(open_log(log) if isinstance(log, (str, os.PathLike)) else log)
+    frames = iter(log)
     first = next(frames, None)
     for frame in () if first is None else chain((first,), frames):
         if not frame[3] or frame[4] or frame[5]:  # standard, remote or error

@@ -93,7 +93,7 @@ class ShiftFinder:
     def follow(self, channel: str, can_id: int) -> Callable[[LogFrame], None] | None:
         """Return what takes the data frames of an extended identifier, None if they show no shift."""
         _, pgn, source, _ = split_id(can_id)
-        take: Callable[[int, bytes], bool | None]
+        take: Callable[[int, bytes], None]
         if pgn == PGN_ETC1:
             take = self._flags[channel, source].take
         elif pgn == PGN_ETC2:
@@ -107,8 +107,8 @@ class ShiftFinder:
             data = frame[2]
             if len(data) < 8:
                 self._short += 1
-            elif take(frame[0], data) and channel in self.engines:
-                self.engines[channel].keep(frame[0])
+            else:
+                take(frame[0], data)
 
         return take_frame
 

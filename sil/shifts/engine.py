@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left, bisect_right
-from collections import deque
 from dataclasses import dataclass
 from operator import le
 from statistics import median
@@ -45,36 +44,17 @@ class EngineFigures:
 
 
 class EngineTrace:
-    """Samples of one engine, of which those around shifts are kept.
-
-    time_ns, torque_percent (SPN 513), speed_rpm (SPN 190): [n] the samples kept, by time after `sort`.
-    """
+    """Samples of one engine: time_ns, torque_percent (SPN 513), speed_rpm (SPN 190), [n] each, by time after `sort`."""
 
     def __init__(self) -> None:
         self.time_ns = array("q")
         self.torque_percent = array("h")
         self.speed_rpm = array("d")
-        self._recent: deque[tuple[int, bytes]] = deque(maxlen=512)
-        self._until_ns = -(2**63)
 
     def take(self, time_ns: int, data: bytes) -> None:
         """Take one EEC1."""
-        if time_ns <= self._until_ns:
-            self._add(time_ns, data)
-        else:
-            self._recent.append((time_ns, data))
-
-    def keep(self, time_ns: int) -> None:
-        """Keep the samples shortly before and after a time: there may be a shift."""
-        for sample in self._recent:
-            if sample[0] >= time_ns - 3_000_000_000:
-                self._add(*sample)
-        self._recent.clear()
-        self._until_ns = time_ns + 2_000_000_000
-
-    def _add(self, time_ns: int, data: bytes) -> None:
         speed = word_at(data, 3)
-        if speed is not None and data[2] <= 250 and len(self.time_ns) < 1_000_000:
+        if speed is not None and data[2] <= 250:
             self.time_ns.append(time_ns)
             self.torque_percent.append(data[2] - 125)
             self.speed_rpm.append(speed / 8)

@@ -80,15 +80,15 @@ class FlagTracker:
     _settled_ns: int = 2**63
     _settling: FlaggedShift | None = None
 
-    def take(self, time_ns: int, data: bytes) -> bool | None:
-        """Take one ETC1 and return its flag; one that is there twice at an instant counts once."""
+    def take(self, time_ns: int, data: bytes) -> None:
+        """Take one ETC1; one that is there twice at an instant counts once."""
         last_ns = self._last_ns
         if self._samples and not last_ns < time_ns <= last_ns + MIN_SILENCE_NS:
             if time_ns != last_ns:
                 self.clock_steps += time_ns < last_ns
                 self._restart()
             elif data == self._samples[-1][1]:
-                return None
+                return
         self._last_ns = time_ns
         self._samples.append((time_ns, data))
         if time_ns > self._settled_ns:
@@ -97,7 +97,6 @@ class FlagTracker:
         if flag is not None and (flag is not self._state or self._doubt_ns is not None):
             self.flagged = True
             self._flag(time_ns, flag)
-        return flag
 
     def _restart(self) -> None:
         """Begin anew: what is under way has no end that is known."""
@@ -192,8 +191,8 @@ class GearHistory:
     chatter: int = 0
     runs: list[GearRun] = field(default_factory=list)
 
-    def take(self, time_ns: int, data: bytes) -> bool:
-        """Take one ETC2; return whether its gears differ from those before."""
+    def take(self, time_ns: int, data: bytes) -> None:
+        """Take one ETC2."""
         current, selected = gear_at(data, 3), gear_at(data, 0)
         last = self.runs[-1] if self.runs else None
         same = last is not None and (last.current, last.selected) == (current, selected)
@@ -201,7 +200,6 @@ class GearHistory:
             last.extend(time_ns)
         elif len(self.runs) < 1_000_000:
             self.runs.append(GearRun(current, selected, time_ns, time_ns))
-        return last is not None and not same
 
     def gear_before(self, time_ns: int) -> int | None:
         """Return the last valid current gear reported before a time."""

@@ -221,7 +221,7 @@ def test_summaries_of_mutants(seeds: dict[str, bytes], tmp_path: Path) -> None:
         for _ in range(4):
             path.write_bytes(mutated(rng, blob))
             with contextlib.suppress(InputError):
-                summarize(path)
+                summarize(open_log(path))
 
 
 NAMES = ("lab_n_b", "full_shift", "bus_off", "firmware_2500us", "late_valve_commands")

@@ -142,12 +142,6 @@ def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
     assert found.comparison.states[0].sides[1] == states
 
 
-def test_a_loop_that_never_parts_stays_open(shipped_run: ShippedRun) -> None:
-    log = shipped_run("lab_n_b")[1] / "bus.log"
-    found = replay(ReplayRequest(str(log), closed_loop=True))
-    assert not found.differs and found.plant is not None and found.plant.closed_ns is None
-
-
 def test_a_plant_that_is_another_is_reported_from_a_unit_that_is_another(
     shipped_run: ShippedRun,
 ) -> None:
@@ -223,17 +217,6 @@ def test_tolerances_from_a_file_and_a_folder_that_is_taken(
     assert main(what_if) == 2
     assert "--force" in capsys.readouterr().err
     assert main([*what_if, "--force"]) == 1
-
-
-def test_the_shifts_of_a_run_in_a_summary(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    log = str(ROOT / "tests/golden/full_shift.log.gz")
-    assert main(["replay", log, "--summary", "--json"]) == 0
-    shifts = json.loads(capsys.readouterr().out)["shifts"]
-    assert [(s["from_gear"], s["to_gear"]) for s in shifts] == [(2, 0), (0, 1)]
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -269,12 +269,6 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path: Path) -> None:
     assert target.read_bytes() == b"first " * 1000 and os.listdir(tmp_path) == ["out.fmu"]
 
 
-def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError) as error:
-        write_atomically(tmp_path / "none" / "file", "")
-    assert error.value.filename == str(tmp_path / "none" / "file")
-
-
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
@@ -327,10 +321,6 @@ def test_none_of_quick_work_and_none_when_silent(
     assert stream.getvalue() == ""
     progress.silence()
     assert shown(clock, io.StringIO(), monkeypatch) == ""
-
-
-def test_a_present_library_is_imported() -> None:
-    assert extras.import_extra("json", "mdf", "log.mf4: MF4").dumps([]) == "[]"
 
 
 def test_in_a_clone_the_command_installs_the_clone(monkeypatch: pytest.MonkeyPatch) -> None:

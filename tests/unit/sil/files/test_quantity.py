@@ -10,7 +10,7 @@ import pytest
 from can_dbc.errors import InputError
 from sil import simulate
 from sil.campaign.campaign import load_campaign
-from sil.files.quantity import comparison, counted, in_unit, quantity, unit_of
+from sil.files.quantity import comparison, in_unit, quantity, unit_of
 from sil.simulation.load_scenario import load
 from sil.studies.load_study import load_study
 
@@ -44,11 +44,6 @@ def test_units_follow_from_names() -> None:
     ]  # fmt: skip
     assert quantity(26_312.0, "N") == "26312 N"
     assert quantity(900_000.0, "Pa") == "9 bar" and quantity(2.0, "s") == "2 s"
-
-
-@pytest.mark.parametrize(("count", "text"), [(0, "0 shifts"), (1, "1 shift"), (2, "2 shifts")])
-def test_a_noun_follows_its_number(count: int, text: str) -> None:
-    assert counted(count, "shift") == text
 
 
 @pytest.mark.parametrize(

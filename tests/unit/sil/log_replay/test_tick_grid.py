@@ -126,11 +126,6 @@ def test_a_delayed_frame_belongs_to_the_tick_of_its_counter() -> None:
     assert not found.idle and not found.off_bus
 
 
-def test_lost_frames_leave_all_ticks_running() -> None:
-    found = mapped(arrivals("lost_frames"))
-    assert not found.idle and not found.off_bus
-
-
 def test_silence_with_running_counters_is_off_the_bus() -> None:
     found = mapped(arrivals("bus_off"))
     assert found.off_bus == [Span(16, 36)] and not found.idle
@@ -155,7 +150,3 @@ def test_a_hole_in_the_recording_begins_the_replay_anew() -> None:
     first = 50 + hole_ns // PERIOD
     assert found.restarts == [first]
     assert found.idle == [Span(50, first)]
-
-
-def test_a_dead_unit_has_a_last_tick() -> None:
-    assert mapped(arrivals("dead_controller")).last == 14

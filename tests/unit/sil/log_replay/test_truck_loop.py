@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_dbc.errors import InputError
 from sil import cli
 from sil.files.overrides import NO_SETTINGS, Settings
 from sil.j1939.mapping import SignalMapping
@@ -156,17 +155,6 @@ def test_a_gear_that_is_not_reached_is_said() -> None:
     assert truck_verdict(shift) == [f"ours does not reach the gear ({stuck.faults})"]
 
 
-def test_the_same_bits_at_every_run() -> None:
-    found, again = ours(of(SHIFT)), ours(of(SHIFT))
-    for name, value in vars(found).items():
-        assert np.array_equal(value, vars(again)[name]), name
-
-
-def test_a_wrong_setting_is_refused() -> None:
-    with pytest.raises(InputError, match="expected one of"):
-        ours(of(SHIFT), {"controller.stratgy": "open_loop"})
-
-
 def test_our_own_bus_read_as_a_truck_s_gives_our_own_times() -> None:
     """A run's ETC1 and ETC2 as the log: what it shows agrees with the same run by this way."""
     made = {
@@ -265,23 +253,12 @@ def test_a_folder_with_page_pictures_and_figures(
     assert "1 to 2" in (out / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_selection_leaves_shifts_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = write(tmp_path / "1.log", with_engine())
-    assert cli.main(["replay", str(log), "--summary", "--json", "--until", "7"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["shifts"]) == 2
-
-
 def test_a_log_without_times_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = [f"can0  {f.can_id:08X}   [8]  {f.data.hex(' ').upper()}\n" for f in with_engine()]
     (tmp_path / "screen.log").write_text("".join(lines))
     assert cli.main(["replay", str(tmp_path / "screen.log"), "--summary"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "has no times, so that no shift time is known" in line
-
-
-def test_notes_of_the_log_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["replay", str(write(tmp_path / "1.blf", with_engine())), "--summary"]) == 0
-    assert "log: the start in the header names no time zone" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

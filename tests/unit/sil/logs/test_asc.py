@@ -14,7 +14,7 @@ from sil.logs.asc import parse_event
 from sil.logs.format import ZONE_NOTE, NotAFrame
 from sil.logs.frame import frame_problem
 from sil.logs.times import utc_ns
-from tests.support.golden_logs import log_of, write
+from tests.support.golden_logs import log_of
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 
@@ -136,14 +136,6 @@ def test_common_and_other_lines_mixed(
     assert reader.report.skipped == lines.count("rubbish")
 
 
-def test_a_later_header_changes_the_reading(tmp_path: Path) -> None:
-    """Logs put one behind the other: each has its own number base."""
-    body = "".join(f"{i}.000000 1 10 Rx d 1 10\n" for i in range(3000))
-    text = f"base hex timestamps absolute\n{body}base dec timestamps absolute\n{body}"
-    found = [(f.can_id, f.data) for f in log_of(tmp_path / "log.asc", text)]
-    assert found == [(0x10, b"\x10")] * 3000 + [(10, b"\x0a")] * 3000
-
-
 class TestUnterminated:
     """The last line, when it has no line end."""
 
@@ -167,26 +159,6 @@ class TestUnterminated:
         )
         assert len(list(reader)) == 1 + kept
         assert reader.report.truncated is not kept
-
-
-def test_absolute_times_come_back_through_the_origin(tmp_path: Path) -> None:
-    path = tmp_path / "log.asc"
-    times_ns = [1_700_000_000_123_456_789, 1_700_000_000_123_000_000, 1_700_000_001_000_000_000]
-    write(path, [LogFrame(time_ns, 1, b"", channel="1", direction="Rx") for time_ns in times_ns])
-    text = path.read_text()
-    assert text.startswith("date Tue Nov 14 22:13:20.123 2023\nbase hex  timestamps absolute\n")
-    assert "// time origin 1700000000.123000000 s\n" in text
-    assert text.endswith("End TriggerBlock\n")
-    assert [f.time_ns for f in open_log(path)] == times_ns
-
-
-def test_relative_times_get_no_invented_date(tmp_path: Path) -> None:
-    path = tmp_path / "log.asc"
-    write(path, [LogFrame(1_000_000, 1, b"", channel="1", direction="Rx")])
-    assert "1970" not in path.read_text()
-    reader = open_log(path)
-    assert [f.time_ns for f in reader] == [1_000_000]
-    assert reader.report.start_ns is None
 
 
 def test_times_of_python_can_count_from_the_trigger_block(tmp_path: Path) -> None:

@@ -222,13 +222,6 @@ def test_a_log_shorter_than_its_header_states(tmp_path: Path) -> None:
     assert report.truncated
 
 
-def test_without_a_start_times_are_relative(tmp_path: Path) -> None:
-    frames, report = read(file_of(container(can(7)), start_ns=0), tmp_path)
-    assert frames[0].time_ns == 7000
-    assert report.time_base == "relative"
-    assert report.start_ns is None
-
-
 @pytest.mark.parametrize("method", [1, 3, 255])
 def test_unknown_packing_is_named(method: int, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"packed by method {method}"):

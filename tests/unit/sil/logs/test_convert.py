@@ -64,14 +64,6 @@ def test_formats_may_be_stated(tmp_path: Path) -> None:
     assert [frame.data for frame in open_log(target)] == [b"\x11"]
 
 
-def test_delta_times_become_times(tmp_path: Path) -> None:
-    target = tmp_path / "log.log"
-    convert(DATA / "screen_delta.txt", target)
-    reader = open_log(target)
-    assert [frame.time_ns // 1000 for frame in reader] == [0, 100_012, 200_007, 299_998, 400_101]
-    assert reader.report.time_base == "relative"
-
-
 def test_error_frames_without_a_class_become_bus_errors(tmp_path: Path) -> None:
     target = tmp_path / "log.log"
     report = convert(DATA / "torn.asc", target)
@@ -161,13 +153,6 @@ def test_a_log_without_a_run_keeps_its_frames_and_times(tmp_path: Path) -> None:
     found = list(reader)
     assert [f.can_id for f in found] == [0x1BFF_0000, BUS_FRAMES[0][1].can_id | EDP_BIT, 0x18FF9927]
     assert found[0].time_ns == 1_700_000_000 * 10**9 and not reader.report.lockstep
-
-
-def test_convert_leaves_the_protocol_out_and_counts_it(tmp_path: Path) -> None:
-    report = convert(capture(tmp_path / "a.log", lockstep_records()), tmp_path / "b.log")
-    assert report.written == 20
-    assert any("left out: control frames (60)" in line for line in report.lines())
-    assert [f.time_ns for f in open_log(tmp_path / "b.log")] == [at for at, _ in BUS_FRAMES]
 
 
 def test_a_log_of_impossible_periods_is_refused_without_naming_parameters() -> None:

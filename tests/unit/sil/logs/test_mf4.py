@@ -15,7 +15,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, convert, open_log, open_writer
-from sil.logs.traces import holds_signals_only, is_trace_csv
+from sil.logs.traces import holds_signals_only
 from tests.support.golden_logs import write
 
 
@@ -399,9 +399,3 @@ def test_odd_headers_are_refused(header: str, tmp_path: Path) -> None:
     source.write_text(f"{header}\n0.0,1.0,2.0\n")
     with pytest.raises(InputError, match="expected distinct names"):
         convert(source, tmp_path / "trace.mf4")
-
-
-def test_what_is_a_trace(tmp_path: Path) -> None:
-    assert is_trace_csv(str(DATA / "signals.csv"))
-    assert not is_trace_csv(str(DATA / "python_can.csv"))
-    assert not is_trace_csv(str(DATA / "candump_log.log"))

@@ -18,16 +18,9 @@ import pytest
 from can_dbc.contract import DBC_PATH
 from can_dbc.errors import InputError
 from sil.logs import FORMATS, LogFrame, open_log, open_writer
-from sil.logs.frame import DLC_LENGTHS, frame_problem, ordinary_frame
+from sil.logs.frame import frame_problem
 from sil.logs.report import Location, LogReport, printable
 from tests.support.golden_logs import log_of, write
-
-
-def test_length_codes_of_the_standard() -> None:
-    assert DLC_LENGTHS == (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-    for length in range(65):
-        code = LogFrame(0, 0, bytes(length), fd=True).dlc
-        assert DLC_LENGTHS[code] == min(each for each in DLC_LENGTHS if each >= length)
 
 
 @pytest.mark.parametrize(
@@ -45,12 +38,6 @@ def test_length_codes_of_the_standard() -> None:
 def test_length_code_on_the_wire(frame: LogFrame, code: int) -> None:
     assert frame.dlc == code
     assert frame_problem(frame) is None
-
-
-def test_ordinary_frame_is_the_same_record() -> None:
-    quick = ordinary_frame(5, 0x123, b"\x01", False, "can0", "Rx")
-    assert quick == LogFrame(5, 0x123, b"\x01", False, channel="can0", direction="Rx")
-    assert type(quick) is LogFrame
 
 
 def test_refusal_names_the_place(tmp_path: Path) -> None:
@@ -189,10 +176,6 @@ def test_each_reading_begins_anew() -> None:
     first, second = list(reader), list(reader)
     assert first == second
     assert reader.report.frames == len(first)
-
-
-def test_a_reading_may_end_early() -> None:
-    assert next(iter(open_log(DATA / "candump_log.log"))).can_id == 0x44
 
 
 def test_duplicates_are_found_among_frames_of_one_instant(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from sil.logs.times import (
     format_ns,
     parse_date,
     parse_decimal_ns,
-    utc_calendar,
     utc_ns,
     write_date,
 )
@@ -185,11 +184,6 @@ def test_lines_after_an_overlong_one_keep_their_numbers() -> None:
     assert found[2].byte == blob.index(b"three")
 
 
-@pytest.mark.parametrize("blob", [b"", b"\n"])
-def test_hardly_any_text(blob: bytes) -> None:
-    assert [line.text for line in lines(io.BytesIO(blob))] == [""] * len(blob)
-
-
 @settings(deadline=None)
 @given(st.integers(-(2**62), 2**62))
 def test_nanoseconds_survive_as_text(time_ns: int) -> None:
@@ -246,11 +240,6 @@ def test_decimals_as_needed() -> None:
     assert format_ns(999_999_999, 6) == "1.000000"
     assert enough_decimals([(1000,), (2000,)]) == 6
     assert enough_decimals([(1000,), (2001,)]) == 9
-
-
-def test_calendar() -> None:
-    assert utc_ns(2023, 11, 14, 22, 13, 20, 5) == 1_700_000_000_000_000_005
-    assert utc_calendar(1_700_000_000_999_999_999).isoformat() == "2023-11-14T22:13:20+00:00"
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.csv_log import OUR_HEADER
-from tests.support.golden_logs import log_of, write
+from tests.support.golden_logs import log_of
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 NOON_NS = 1_639_828_800 * 10**9
@@ -94,14 +94,6 @@ def test_unknown_kinds_are_refused(header: str, expected: str, tmp_path: Path) -
     text = header + "      1     17535.400 DT 1  00000100 Tx -  2    01 02\n"
     with pytest.raises(InputError, match=expected):
         list(log_of(tmp_path / "log.trc", text))
-
-
-def test_without_a_start_time_times_are_relative(tmp_path: Path) -> None:
-    reader = log_of(
-        tmp_path / "log.trc", ";$FILEVERSION=1.1\n     1)     17535.4  Tx     00000100  1  00\n"
-    )
-    assert [f.time_ns for f in reader] == [OFFSET_NS]
-    assert any("STARTTIME" in note for note in reader.report.notes)
 
 
 @pytest.mark.parametrize(
@@ -217,13 +209,6 @@ def test_gvret_table_without_a_direction(tmp_path: Path) -> None:
             "Time Stamp,ID,Extended,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n166064000,0000021A,false,0,2,FE,36,\n",
         )
     ) == [LogFrame(166_064_000_000, 0x21A, b"\xfe\x36", False, channel="0")]
-
-
-def test_our_table_is_plain(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    write(path, [LogFrame(-1, 0x18FEF100, b"\x01\xff", channel="can0", direction="Rx")])
-    assert path.read_text() == (f"{OUR_HEADER}\n-0.000000001,can0,Rx,18FEF100,1,0,0,0,0,0,2,01FF\n")
-    assert [frame.time_ns for frame in open_log(path)] == [-1]
 
 
 @pytest.mark.parametrize(

@@ -151,13 +151,6 @@ def test_frames_go_out_on_schedule_and_carry_the_gear_asked_for() -> None:
     assert gears[-3:] == [Gear.BACKWARD, Gear.FORWARD, Gear.FORWARD]
 
 
-def test_the_end_of_the_run_sends_nothing_between_two_frames() -> None:
-    driver = DriverNode(Gear.NEUTRAL, [], 20 * MS)
-    assert driver.start() == 0
-    assert len(driver.advance(0, [])[0]) == 1
-    assert driver.advance(7 * MS, []) == ([], 20 * MS)
-
-
 def carried(load: float, seed: int) -> tuple[BusModel, list[tuple[int, int, bytes]]]:
     node, bus = TrafficNode(load, 6, 500_000, seed), BusModel(500_000)
     at, log = node.start(), []
@@ -174,11 +167,6 @@ def test_load_is_what_was_asked_for(load: float) -> None:
     bus, log = carried(load, 1)
     assert bus.load == pytest.approx(load, rel=0.03)
     assert {split_id(can_id).priority for _, can_id, _ in log} == {6}
-
-
-def test_seeded() -> None:
-    assert carried(0.3, 1)[1] == carried(0.3, 1)[1]
-    assert carried(0.3, 1)[1] != carried(0.3, 2)[1]
 
 
 def test_nothing_between_two_windows() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import math
 import os
 import signal
 import subprocess
@@ -28,7 +27,7 @@ from sil.recording.recorder import BusLog, EventLog, FrameWriter, TraceWriter, t
 from sil.recording.run_reader import event_of, open_trace, stored_rows
 from sil.recording.run_record import STORED_FRAME, PlantEvent, StoredFrames
 from sil.recording.runs import longest_run, true_runs
-from sil.recording.trace_csv import TraceCsv, held
+from sil.recording.trace_csv import TraceCsv
 from sil.simulation import load_scenario, metrics, runner
 from tests.support import made_run
 
@@ -270,12 +269,6 @@ def test_events_read_back(tmp_path: Path) -> None:
     assert [event_of(line, "line") for line in path.read_bytes().splitlines()] == wanted
     with pytest.raises(InputError, match="line 1: not an event"):
         event_of(b'{"time_s": 0.7}', "line 1")
-
-
-def test_held_values() -> None:
-    at = np.array([0.0, 1.0, 1.5, 2.0, 3.0])
-    values = held(np.array([1.0, 2.0]), np.array([10.0, 20.0]), at)
-    assert math.isnan(values[0]) and values[1:].tolist() == [10.0, 10.0, 20.0, 20.0]
 
 
 def test_trace_csv_begins_like_a_measured_stroke_and_keeps_every_bit(tmp_path: Path) -> None:
