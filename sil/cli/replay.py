@@ -140,7 +140,7 @@ def _prepared(arguments: argparse.Namespace, name: str) -> Path:
     folder = prepare_folder(arguments.out, name, arguments.force, inputs=logs)
     for figure in folder.glob("*.*"):
         is_picture = figure.suffix in (".png", ".svg")
-        if is_picture and figure.stem.startswith(("scene_", "positions", "shift")):
+        if is_picture and figure.stem.startswith(("scene_", "shift")):
             figure.unlink()
     return folder
 

@@ -18,78 +18,46 @@ from sil.shifts.cutter import Shift
 from sil.shifts.engine import EngineTrace
 
 
-def excerpts_figure(
-    scenes: Sequence[Excerpt],
+def scene_figure(
+    scene: Excerpt,
     labels: tuple[str, str],
     base_ns: int,
     positions: Sequence[Position] = (),
     marks: Callable[[Panel], Panel] = lambda panel: panel,
 ) -> Figure:
-    """Return estimates, coils and states of both sides on one time axis, with a zoom per scene.
+    """Return estimates, coils and states of both sides over the ticks of a scene.
 
     marks: adds the faults to a panel.
     """
-    parts = filter(None, without_repetition(scenes))
-    pieces = [([(row.time_ns + base_ns) / 1e6 for row in rows], rows) for rows in parts]
-    estimates = _estimates(pieces, labels, base_ns, positions)
-    panels = [marks(p) for p in (estimates, _coils(pieces, labels), _states(pieces, labels))]
-    zooms = []
-    for scene in scenes:
-        times = [(row.time_ns + base_ns) / 1e6 for row in scene.rows]
-        if len(times) > 1:
-            name = f"{times[0] / 1e3:.3f} s{', differs' if scene.differs else ''}"
-            zooms.append(Zoom(name, times[0], _end(times)))
-    title = "the commands differ" if any(s.differs for s in scenes) else "the commands are equal"
-    limits = (pieces[0][0][0], max(_end(times) for times, _ in pieces))
-    stack = Stack("time of the log, ms", panels, zooms=zooms, limits=limits, width=10.8)
-    return Figure([stack], title)
-
-
-Piece = tuple[list[float], list[Row]]
-"""Times in ms, and the rows at them, one after the other without a gap."""
-
-
-def without_repetition(scenes: Sequence[Excerpt]) -> list[list[Row]]:
-    """Return the rows of the scenes in ascending time, each row once, one list per scene."""
-    parts: list[list[Row]] = []
-    last_ns: int | None = None
-    for scene in sorted(scenes, key=lambda scene: scene.rows[0].time_ns):
-        parts.append([row for row in scene.rows if last_ns is None or row.time_ns > last_ns])
-        last_ns = max(scene.rows[-1].time_ns, last_ns or 0)
-    return parts
-
-
-def _end(times: Sequence[float]) -> float:
-    """Return when the last tick of a piece ends, in ms."""
-    return times[-1] + (times[1] - times[0] if len(times) > 1 else 10.0)
-
-
-def _over(pieces: Sequence[Piece], value: Callable[[Row], float | None]) -> tuple[Floats, Floats]:
-    """Return times in ms and values [n] each, held to the end of each piece, NaN between pieces."""
-    times: list[float] = []
-    values: list[float] = []
-    for piece_times, rows in pieces:
-        if times and piece_times[0] > times[-1] + 1e-3:
-            times.append(times[-1] + 1e-3)
-            values.append(np.nan)
-        elif times:  # the piece follows without a gap
-            del times[-1], values[-1]
-        piece_values = [np.nan if (v := value(row)) is None else v for row in rows]
-        times += [*piece_times, _end(piece_times)]
-        values += [*piece_values, piece_values[-1]]
-    return np.array(times), np.array(values)
+    times = [(row.time_ns + base_ns) / 1e6 for row in scene.rows]
+    times.append(
+        times[-1] + (times[-1] - times[-2] if len(times) > 1 else 10.0)
+    )  # the last tick's end
+    panels = [
+        _estimates(scene.rows, times, labels, base_ns, positions),
+        _coils(scene.rows, times, labels),
+        _states(scene.rows, times, labels),
+    ]
+    title = "the commands differ" if scene.differs else "the commands are equal"
+    limits = (times[0], times[-1])
+    axis = "time of the log, ms"
+    return Figure([Stack(axis, [marks(p) for p in panels], limits=limits, width=10.8)], title)
 
 
 def _estimates(
-    pieces: Sequence[Piece], labels: tuple[str, str], base_ns: int, positions: Sequence[Position]
+    rows: Sequence[Row],
+    times: list[float],
+    labels: tuple[str, str],
+    base_ns: int,
+    positions: Sequence[Position],
 ) -> Panel:
     lines = []
     for side, role, width in ((0, "estimate", 2.6), (1, "alarm", 1.2)):
-        times, values = _over(pieces, lambda row, side=side: row.estimates_m[side])  # type: ignore[misc]
+        estimates_m = [row.estimates_m[side] for row in [*rows, rows[-1]]]
+        values = np.array([np.nan if x is None else MM * x for x in estimates_m])
         label = f"estimate, {labels[side]}"
-        lines.append(Series(label, times, MM * values, role, "stepped", width=width))
-    ends = [(rows[0].time_ns, rows[-1].time_ns) for _, rows in pieces]
-    near = [p for p in positions if any(a <= p.time_ns <= b for a, b in ends)]
+        lines.append(Series(label, np.array(times), values, role, "stepped", width=width))
+    near = [p for p in positions if rows[0].time_ns <= p.time_ns <= rows[-1].time_ns]
     near_ms = np.array([(p.time_ns + base_ns) / 1e6 for p in near])
     for label, position_m, dashed in (
         ("true position, recorded", [p.recorded_m for p in near], False),
@@ -102,37 +70,34 @@ def _estimates(
     return Panel("Position", "mm", lines, height=230)
 
 
-def _coils(pieces: Sequence[Piece], labels: tuple[str, str]) -> Panel:
+def _coils(rows: Sequence[Row], times: list[float], labels: tuple[str, str]) -> Panel:
     """Coils energised: B on top, the replayed side (full) below the recorded one (pale)."""
     spans, ticks = [], []
     for lane, chamber in enumerate("FNB"):
-        k = 2 - lane
         for side, low in ((1, lane + 0.08), (0, lane + 0.52)):
             ticks.append((low + 0.18, f"{chamber} {labels[side]}"))
             style = "solid" if side else "pale"
-            for times, rows in pieces:
-                on = [row.coils[side][k] for row in rows]
-                spans += [
-                    Span(a, b, chamber, "", low, low + 0.36, style)  # type: ignore[arg-type]
-                    for a, b in spans_of(times, on, _end(times))
-                ]
+            on = [row.coils[side][2 - lane] for row in rows]
+            spans += [
+                Span(a, b, chamber, "", low, low + 0.36, style)  # type: ignore[arg-type]
+                for a, b in spans_of(times[:-1], on, times[-1])
+            ]
     rules = [Rule(float(lane), "", "grid", "y", "solid") for lane in range(3)]
     return Panel(
         "Coils energised", spans=spans, ticks=ticks, rules=rules, height=160, limits=(-0.02, 3.0)
     )
 
 
-def _states(pieces: Sequence[Piece], labels: tuple[str, str]) -> Panel:
+def _states(rows: Sequence[Row], times: list[float], labels: tuple[str, str]) -> Panel:
     spans = []
     for side, base in ((0, 1.0), (1, 0.0)):
-        for times, rows in pieces:
-            names = [row.states[side] for row in rows]
-            for name in dict.fromkeys(names):
-                role, text = name if name in ShiftState.__members__ else "grid", name.lower()
-                spans += [
-                    Span(a, b, role, text, base + 0.06, base + 0.94)
-                    for a, b in spans_of(times, [n == name for n in names], _end(times))
-                ]
+        names = [row.states[side] for row in rows]
+        for name in dict.fromkeys(names):
+            role, text = name if name in ShiftState.__members__ else "grid", name.lower()
+            spans += [
+                Span(a, b, role, text, base + 0.06, base + 0.94)
+                for a, b in spans_of(times[:-1], [n == name for n in names], times[-1])
+            ]
     ticks = [(1.5, f"state {labels[0]}"), (0.5, f"state {labels[1]}")]
     return Panel("Firmware state", spans=spans, ticks=ticks, height=76, limits=(0.0, 2.0))
 

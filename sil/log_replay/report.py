@@ -323,21 +323,22 @@ def _tiles(outcome: ReplayResult) -> list[tuple[str, str]]:
 
 def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[PlotGroup]]:
     """Return the pictures, each written into the folder, and the plots of the same figures."""
-    scenes, base_ns = outcome.comparison.excerpts.excerpts, outcome.grid.origin_ns
+    base_ns = outcome.grid.origin_ns
     positions = outcome.plant.positions if outcome.plant is not None else []
     marks = _fault_marks(outcome)
     a, b = outcome.labels
-    draw = partial(
-        figures.excerpts_figure, labels=(a, b), base_ns=base_ns, positions=positions, marks=marks
-    )
+    drawn = [
+        figures.scene_figure(scene, (a, b), base_ns, positions, marks)
+        for scene in outcome.comparison.excerpts.excerpts
+    ]
     alt = "Position, coils and states of both sides over time"
     coils = f"the coils energised (pale: {a}, full: {b})"
     caption = f"The controller's estimate, {coils} and the states."
     pictures = [
-        Picture(save(draw([scene]), folder, f"scene_{number}"), alt, caption)
-        for number, scene in enumerate(scenes, start=1)
+        Picture(save(figure, folder, f"scene_{number}"), alt, caption)
+        for number, figure in enumerate(drawn, start=1)
     ]
-    return pictures, plots(draw(scenes)) if scenes else []
+    return pictures, [group for figure in drawn for group in plots(figure)]
 
 
 def _fault_marks(outcome: ReplayResult) -> Callable[[Panel], Panel]:

@@ -13,14 +13,12 @@ import pytest
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ControllerStatus, SafetyBlow, ShiftRequest, ValveCommand
-from sil.log_replay.excerpts import Excerpt, Row
-from sil.log_replay.figures import excerpts_figure
+from sil.log_replay.figures import scene_figure
 from sil.log_replay.recorded_frames import ID_OF
 from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.log_replay.report import as_dict, replay_page, text
 from sil.log_replay.signals import Options
 from sil.logs import LogFrame
-from sil.report.figure import Series
 from sil.simulation import load_scenario, scenario
 from sil.simulation.in_memory import run_in_memory
 from tests.support.golden_logs import frames, golden, write
@@ -288,29 +286,14 @@ def test_faults_and_their_detection_are_marked_on_both_sides(
     assert "SENSOR_STUCK reported" in page
 
 
-def test_both_shifts_are_on_the_axis_once() -> None:
-    scenes = CHANGED.comparison.excerpts.excerpts
-    (stack,) = excerpts_figure(scenes, CHANGED.labels, CHANGED.grid.origin_ns).stacks
-    assert len(stack.zooms) == 2 and all(zoom.name.endswith("differs") for zoom in stack.zooms)
+def test_a_scene_shows_both_sides() -> None:
+    scene = CHANGED.comparison.excerpts.excerpts[0]
+    (stack,) = scene_figure(scene, CHANGED.labels, CHANGED.grid.origin_ns).stacks
     position, coils, states = stack.panels
     recorded, replayed = position.series
     for line in (recorded, replayed):
-        assert np.all(np.diff(line.x) > 0.0)
+        assert np.all(np.diff(line.x) > 0.0) and len(line.x) == len(line.y) == len(scene.rows) + 1
     assert not np.array_equal(recorded.y, replayed.y, equal_nan=True)
     assert np.nanmax(recorded.y) > 12.0
-    assert len(coils.ticks) == 6 and {span.role for span in coils.spans} == {"N", "F"}
+    assert len(coils.ticks) == 6 and {span.role for span in coils.spans} == {"N"}
     assert {"push", "blow", "hold"} <= {span.label for span in states.spans}
-
-
-def test_lines_have_a_gap_only_between_scenes_that_are_apart() -> None:
-    rows = CHANGED.comparison.excerpts.excerpts[0].rows
-
-    def estimates(*parts: list[Row]) -> list[Series]:
-        (stack,) = excerpts_figure([Excerpt(part) for part in parts], CHANGED.labels, 0).stacks
-        return list(stack.panels[0].series)
-
-    for one, other in zip(estimates(rows[:9], rows[5:]), estimates(rows), strict=True):
-        np.testing.assert_array_equal(one.x, other.x)
-        np.testing.assert_array_equal(one.y, other.y)
-    for line in estimates(rows[:5], rows[9:]):
-        assert np.isnan(line.y).sum() == 1 and np.all(np.diff(line.x) > 0.0)
