@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,8 @@ from sil.log_replay.plant_side import Position
 from sil.log_replay.truck_loop import OurShift
 from sil.log_replay.truck_replay import ComparedShift, TruckReplay, side_figures, truck_verdict
 from sil.log_replay.truck_shift import PHASES
-from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Stack, Zoom, spans_of
+from sil.report.figure import MM, Figure, Panel, Rule, Series, Span, Stack, spans_of
 from sil.shifts.cutter import Shift
-from sil.shifts.engine import EngineTrace
 
 
 def scene_figure(
@@ -188,8 +188,8 @@ def _phase_spans(times_s: dict[str, float | None], lane: int) -> list[Span]:
     return spans
 
 
-def _ms(summary: J1939Summary, time_ns: int) -> float:
-    """Return a time in ms from the log's first frame."""
+def _ms(summary: J1939Summary, time_ns: Any) -> Any:
+    """Return times in ms from the log's first frame."""
     return (time_ns - (summary.first_ns or 0)) / 1e6
 
 
@@ -201,33 +201,21 @@ def shift_times_figure(summary: J1939Summary) -> Figure:
     return Figure([Stack("time of the log, s", [panel], width=10.8)])
 
 
-def engine_figure(summary: J1939Summary, shifts: Sequence[Shift]) -> Figure:
-    """Return torque and speed of the engine, the shifts as spans, with a zoom for each."""
-    views = [(_ms(summary, s.start_ns) - 1000.0, _ms(summary, s.end_ns) + 1000.0) for s in shifts]
-    spans = [Span(_ms(summary, s.start_ns), _ms(summary, s.end_ns), "band") for s in shifts]
-    zooms = [Zoom(f"{n}. {s.gears}", *views[n - 1]) for n, s in enumerate(shifts, 1)]
-    channels = sorted({shift.channel for shift in shifts} & summary.engines.keys())
+def engine_figure(summary: J1939Summary, shift: Shift) -> Figure | None:
+    """Return torque and speed of the engine from a second before a shift to one after it, None without any."""
+    begin_ms, end_ms = _ms(summary, shift.start_ns), _ms(summary, shift.end_ns)
+    if (engine := summary.engines.get(shift.channel)) is None:
+        return None
+    times = _ms(summary, np.array(engine.time_ns))
+    near = slice(*np.searchsorted(times, (begin_ms - 1000.0, end_ms + 1000.0)))
     panels = []
-    for title, unit, column, role in (
-        ("Engine torque (actual)", "%", "torque_percent", "after"),
-        ("Engine speed", "rpm", "speed_rpm", "truth"),
+    for title, unit, values, role in (
+        ("Engine torque (actual)", "%", engine.torque_percent[near], "after"),
+        ("Engine speed", "rpm", engine.speed_rpm[near], "truth"),
     ):
-        lines = [_line(summary, summary.engines[channel], column, views) for channel in channels]
-        series = [Series(title.lower(), *line, role) for line in lines if len(line[0])]
-        panels.append(Panel(title, unit, series, spans=spans, height=190))
-    title = shifts[0].gears if len(shifts) == 1 else ""
-    return Figure([Stack("time of the log, ms", panels, zooms=zooms, width=10.8)], title)
-
-
-def _line(
-    summary: J1939Summary, engine: EngineTrace, column: str, views: Sequence[tuple[float, float]]
-) -> tuple[Floats, Floats]:
-    """Return times in ms and values [n] within any view, NaN where samples are missing."""
-    x = (np.array(engine.time_ns) - (summary.first_ns or 0)) / 1e6
-    y = np.array(getattr(engine, column), dtype=np.float64)
-    near = np.zeros(len(x), dtype=bool)
-    for begin, end in np.searchsorted(x, views).tolist():
-        near[begin:end] = True
-    x, y = x[near], y[near]
-    breaks = np.flatnonzero(np.diff(x) > 500.0) + 1
-    return np.insert(x, breaks, x[breaks - 1] + 1e-3), np.insert(y, breaks, np.nan)
+        line = Series(title.lower(), times[near], np.array(values, dtype=np.float64), role)
+        panels.append(
+            Panel(title, unit, [line], spans=[Span(begin_ms, end_ms, "band")], height=190)
+        )
+    figure = Figure([Stack("time of the log, ms", panels, width=10.8)], shift.gears)
+    return figure if len(times[near]) else None

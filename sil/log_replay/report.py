@@ -496,9 +496,10 @@ def shifts_page(summary: J1939Summary, log: str, command: str, folder: Path) -> 
     overview = figures.shift_times_figure(summary)
     caption = "Shift time of each shift over the time of the log."
     pictures = [Picture(save(overview, folder, "shifts"), "Shift times", caption)]
+    groups = plots(overview)
     for number, shift in enumerate(summary.shifts[:12], start=1):
-        figure = figures.engine_figure(summary, [shift])
-        if any(panel.series for panel in figure.stacks[0].panels):
+        if (figure := figures.engine_figure(summary, shift)) is not None:
+            groups += plots(figure)
             image = save(figure, folder, f"shift_{number}")
             pictures.append(Picture(image, "Engine around the shift", f"Shift {number}: {shift}"))
     times_s = [shift.duration_s for shift in summary.shifts]
@@ -513,5 +514,4 @@ def shifts_page(summary: J1939Summary, log: str, command: str, folder: Path) -> 
         ],
         again=command,
     )
-    groups = plots(overview) + plots(figures.engine_figure(summary, summary.shifts))
     return render("shifts.html", head, groups, lines=summary.lines()[1:], pictures=pictures)
