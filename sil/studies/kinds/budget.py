@@ -1,8 +1,7 @@
 """Rows that are latency budgets: the delays between first motion and first counter-force of a shift.
 
-Each delay is read from a run and computed in closed form from the settings. The slack is the time from
-first motion to the stop, less all delays. Thesis 4.2.1 counts 30 ms for the sensor, 10 ms for the velocity
-and 8 ms for the valve against about 40 ms.
+Each delay is read from a run. The slack is the time from first motion to the stop, less all delays. Thesis
+4.2.1 counts 30 ms for the sensor, 10 ms for the velocity and 8 ms for the valve against about 40 ms.
 """
 
 from __future__ import annotations
@@ -15,16 +14,10 @@ import numpy as np
 from can_dbc.errors import RunError
 from can_dbc.instants import NS_PER_S
 from can_dbc.messages import PositionPulse, ValveCommand
-from controller.settings import FilterConfig
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
-from plant.kernel.compiled import plain
-from plant.kernel.layout import FlowMap
-from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
-from plant.parts.flow import charge
 from plant.systems.stroke import simulate
 from sil.coupling.bus import BusFrame
-from sil.coupling.frame_bits import frame_bits
 from sil.files.overrides import Settings
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import Run, run_in_memory
@@ -55,9 +48,9 @@ class BudgetStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
     """A row is the latency budget of a run's last shift."""
 
     def columns(self) -> tuple[str, ...]:
-        """Return window, sums, slack, and each delay twice."""
-        totals = ("window_s", "last_part_s", "spent_s", "closed_spent_s", "slack_s", "last_slack_s")
-        return (*totals, *map(simulated, BARS), *map(closed, BARS), "failed")
+        """Return window, sum, slack, and each delay."""
+        totals = ("window_s", "last_part_s", "spent_s", "slack_s", "last_slack_s")
+        return (*totals, *map(column_of, BARS), "failed")
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
         """Return the budget of a row; one that never arrives has failed. Raises InputError and RunError."""
@@ -71,34 +64,13 @@ class BudgetStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         return {"budget": _budget_figure(study, table)}
 
 
-def simulated(bar: str) -> str:
-    """Return the column of a delay as simulated."""
+def column_of(bar: str) -> str:
+    """Return the column of a delay."""
     return f"{bar.replace(' ', '_').replace('-', '_')}_s"
 
 
-def closed(bar: str) -> str:
-    """Return the column of a delay in closed form."""
-    return f"closed_{simulated(bar)}"
-
-
-def filter_delay_s(config: FilterConfig) -> float:
-    """Return the delay of a Butterworth low-pass for slow signals, 1 / (2 pi fc sin(pi / 2n)), 0 without one."""
-    if not config.enabled:
-        return 0.0
-    return 1.0 / (2.0 * math.pi * config.fc_hz * math.sin(math.pi / (2.0 * config.order)))
-
-
-def filling_closed_s(parameters: ParameterSet, supply_pa: float, rise_pa: float) -> float:
-    """Return the time to raise neutral's pressure: V rise / (alpha_m R f_in), f_in at half the rise."""
-    atmosphere_pa = parameters.value("gas.P_atm")
-    flows = FlowMap(flow_coefficients(parameters))
-    inflow = float(plain(charge)(atmosphere_pa + 0.5 * rise_pa, supply_pa, flows))
-    stiffness = parameters.value("alpha.alpha_m1") * parameters.value("gas.R_air") * inflow
-    return parameters.value("length.V_N0") * rise_pa / stiffness
-
-
-def filling_simulated_s(parameters: ParameterSet, supply_pa: float, rise_pa: float) -> float:
-    """Return the same from a simulated filling of neutral, the stay at rest in neutral."""
+def filling_s(parameters: ParameterSet, supply_pa: float, rise_pa: float) -> float:
+    """Return the time to raise neutral's pressure, the stay at rest in neutral."""
     opening_s = parameters.value("valve.D_rise")
     conditions = StrokeConditions("N-B", supply_pa, ((0.0, "N", FULL_DUTY),))
     times = np.arange(2001, dtype=np.float64) * 2e-5
@@ -149,20 +121,11 @@ def budget_of(load: Callable[[Settings], Loaded], settings: Settings) -> dict[st
     if shift.commanded_s is None or shift.valve_open_s is None:
         raise NoBudgetError("no valve was opened")
     config, parameters = loaded.scenario.controller, loaded.parameters
-    sensor, period_s = loaded.scenario.sensor, loaded.scenario.sensor.period_s
     pulses = run.record.of(PositionPulse)
-
-    def bits_s(entry: BusFrame) -> float:
-        return frame_bits(entry.frame.can_id, entry.frame.data) / loaded.scenario.bus.bitrate
-
-    half_s = 0.5 * parameters.value("position_sensor.t_mid")
     age_s = _report_age_s(run, parameters)
     report = _next(pulses, math.ceil((motion_s + age_s) * NS_PER_S))
     second = _next(pulses, report.released_ns + 1)
     released_s, arrived_s = report.released_ns / NS_PER_S, report.arrival_ns / NS_PER_S
-    waited_s = (sensor.phase_ns / NS_PER_S + half_s - motion_s) % period_s
-    reported_s = sensor.capture_s + sensor.delay_s - half_s
-    there_s = motion_s + waited_s + reported_s + bits_s(report)
     step_ns = -(-report.arrival_ns // config.period_ns) * config.period_ns
     command = _next(run.record.of(ValveCommand), step_ns)
     filtered_s = 0.0
@@ -172,38 +135,29 @@ def budget_of(load: Callable[[Settings], Loaded], settings: Settings) -> dict[st
         if lags[0] is None or lags[1] is None:
             raise NoBudgetError("the estimated position never passes 90 % of the travel")
         filtered_s = lags[0] - lags[1]
-    filling = parameters, run.record.supply_pressure_pa, 1e5
     delays_s = {
-        "waiting for a pulse": (released_s - age_s - motion_s, waited_s),
-        "pulse and its report": (age_s, reported_s),
-        "bus to the controller": (arrived_s - released_s, bits_s(report)),
-        "waiting for the step": (step_ns / NS_PER_S - arrived_s, -there_s % config.period_s),
-        "filter": (filtered_s, filter_delay_s(config.filter)),
-        "second sample for the speed": (
-            (second.released_ns - report.released_ns) / NS_PER_S,
-            period_s,
-        ),
-        "computation": ((command.released_ns - step_ns) / NS_PER_S, config.computation_s),
-        "bus to the valves": (
-            (command.arrival_ns - command.released_ns) / NS_PER_S,
-            bits_s(command),
-        ),
-        "valve opening": (shift.valve_open_s - shift.commanded_s, parameters.value("valve.D_rise")),
-        "pressure build-up": (filling_simulated_s(*filling), filling_closed_s(*filling)),
+        "waiting for a pulse": released_s - age_s - motion_s,
+        "pulse and its report": age_s,
+        "bus to the controller": arrived_s - released_s,
+        "waiting for the step": step_ns / NS_PER_S - arrived_s,
+        "filter": filtered_s,
+        "second sample for the speed": (second.released_ns - report.released_ns) / NS_PER_S,
+        "computation": (command.released_ns - step_ns) / NS_PER_S,
+        "bus to the valves": (command.arrival_ns - command.released_ns) / NS_PER_S,
+        "valve opening": shift.valve_open_s - shift.commanded_s,
+        "pressure build-up": filling_s(parameters, run.record.supply_pressure_pa, 1e5),
     }
     unblocked_s = [e.time_s for e in run.record.events if e.name == "sync_unblock"]
     last_s = max([motion_s, *(t for t in unblocked_s if motion_s < t < shift.arrived_s)])
     window_s, last_part_s = shift.arrived_s - motion_s, shift.arrived_s - last_s
-    spent_s, closed_spent_s = map(sum, zip(*delays_s.values(), strict=True))
+    spent_s = sum(delays_s.values())
     return {
         "window_s": window_s,
         "last_part_s": last_part_s,
         "spent_s": spent_s,
-        "closed_spent_s": closed_spent_s,
         "slack_s": window_s - spent_s,
         "last_slack_s": last_part_s - spent_s,
-        **{simulated(bar): delay_s for bar, (delay_s, _) in delays_s.items()},
-        **{closed(bar): delay_s for bar, (_, delay_s) in delays_s.items()},
+        **{column_of(bar): delay_s for bar, delay_s in delays_s.items()},
     }
 
 
@@ -213,17 +167,15 @@ def _budget_figure(study: Study, table: Table) -> Figure:
     spans, notes = _thesis_bar()
     for at, k in enumerate(rows, start=1):
         value_ms = {name: MS * float(table.numbers[name][k]) for name in study.file.columns()}
-        left = exact = 0.0
+        left = 0.0
         for bar, colour in BARS.items():
-            ends = left + value_ms[simulated(bar)], exact + value_ms[closed(bar)]
-            spans.append(Span(left, ends[0], colour, "", at - 0.28, at + 0.28))
-            spans.append(Span(exact, ends[1], colour, "", at + 0.33, at + 0.39))
-            left, exact = ends
+            begin, left = left, left + value_ms[column_of(bar)]
+            spans.append(Span(begin, left, colour, "", at - 0.28, at + 0.28))
         part, window = value_ms["last_part_s"], value_ms["window_s"]
         spans.append(Span(part - 0.15, part + 0.15, "alarm", "", at - 0.42, at + 0.42))
         if window > part + 0.5:
             spans.append(Span(window - 0.05, window + 0.05, "alarm", "", at - 0.3, at + 0.3))
-        notes.append(Note(max(left, exact) + 1.0, at, f"slack {part - left:.0f}", align="left"))
+        notes.append(Note(left + 1.0, at, f"slack {part - left:.0f}", align="left"))
     panel = Panel(
         "Delays",
         spans=spans,
@@ -233,7 +185,7 @@ def _budget_figure(study: Study, table: Table) -> Figure:
         keys=[*BARS.items(), ("stop; thin: from the first motion", "alarm")],
         height=36 * (len(rows) + 1) + 40,
     )
-    axis = "ms after the motion that is to be answered (thin lines: closed form)"
+    axis = "ms after the motion that is to be answered"
     title = "From motion to counter-force: every delay, and the time there is"
     return Figure([Stack(axis, [panel], limits=(0.0, 115.0), width=9.0)], title)
 

@@ -25,13 +25,13 @@ import numpy as np
 
 from can_dbc.errors import InputError, RunError
 from controller import strategies
+from controller.settings import FilterConfig
 from sil.files.overrides import Settings
 from sil.report.figure import Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.design import Design, drawn_shares
 from sil.studies.figures import numbered, row_labels, title_of
-from sil.studies.kinds.budget import filter_delay_s
 from sil.studies.study import Choice, RowResult, ScenarioStudy, Study, StudyRow, Table
 
 BUS_S = 0.0004  # approximate time that a report spends on the bus
@@ -233,6 +233,13 @@ def information_delay_s(hardware: Loaded) -> float:
     config = hardware.scenario.controller
     filter_s = filter_delay_s(config.filter)
     return sample_age_s(hardware) + filter_s + config.computation_s + BUS_S
+
+
+def filter_delay_s(config: FilterConfig) -> float:
+    """Return the delay of a Butterworth low-pass for slow signals, 1 / (2 pi fc sin(pi / 2n)), 0 without one."""
+    if not config.enabled:
+        return 0.0
+    return 1.0 / (2.0 * math.pi * config.fc_hz * math.sin(math.pi / (2.0 * config.order)))
 
 
 def sample_age_s(hardware: Loaded) -> float:
