@@ -25,7 +25,6 @@ import numpy as np
 
 from can_dbc.errors import InputError, RunError
 from controller import strategies
-from controller.settings import FilterConfig
 from sil.files.overrides import Settings
 from sil.report.figure import Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
@@ -127,44 +126,30 @@ class TuningStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", ta
         return list(dict.fromkeys(name for space in spaces for name in space))
 
     def columns(self) -> tuple[str, ...]:
-        """Return cost, worst load, the same with the oil damper, the parameters, and each load."""
-        each = ("impact_m_s", "lost_s", "damper_m_s")
+        """Return cost, worst load, the parameters, and each load."""
         return (
-            *("cost_m_s", "default_cost_m_s", "worst_impact_m_s", "worst_lost_s"),
-            *("damper_m_s", "damper_worst_m_s", "damper_worst_lost_s", "failed"),
-            "information_delay_s",
+            *("cost_m_s", "default_cost_m_s", "worst_impact_m_s", "worst_lost_s", "failed"),
             *(f"best.{name}" for name in self.parameters()),
-            *(f"{what} {load.name}" for what in each for load in self.load),
+            *(f"{what} {load.name}" for what in ("impact_m_s", "lost_s") for load in self.load),
         )
 
     def run(self, study: Study, row: StudyRow) -> RowResult:
         """Tune the strategy of a row; parameters left at their default are NaN. Raises InputError."""
         strategy = strategy_of(row.settings)
         hardware = {k: v for k, v in row.settings.items() if k != "controller.strategy"}
-        damped = hardware | {"plant.damper": "compressible"}
         cases = [{**hardware, **load.set} for load in self.load]
-        damped_cases = [{**damped, **load.set} for load in self.load]
-        reference, damper = (
-            [run_case(study.loaded, "open_loop", {}, case) for case in each]
-            for each in (cases, damped_cases)
-        )
+        reference = [run_case(study.loaded, "open_loop", {}, case) for case in cases]
         candidates = tune(study.loaded, strategy, cases, reference, self.tuning)
         best = candidates[0]
         default = next(each for each in candidates if not each.parameters)
-        lost_s, damper_lost_s = (
-            [a.time_s - b.time_s for a, b in zip(arrivals, reference, strict=True)]
-            for arrivals in (best.arrivals, damper)
-        )
-        speeds_m_s, damper_m_s = ([a.speed_m_s for a in each] for each in (best.arrivals, damper))
+        lost_s = [a.time_s - b.time_s for a, b in zip(best.arrivals, reference, strict=True)]
+        speeds_m_s = [arrival.speed_m_s for arrival in best.arrivals]
         named = zip(self.load, best.arrivals, strict=True)
         reasons = [f"{load.name}: {arrival.reason}" for load, arrival in named if arrival.reason]
         values = (
-            *(best.cost_m_s, default.cost_m_s, max(speeds_m_s), max(lost_s)),
-            *(sum(damper_m_s) / len(damper), max(damper_m_s), max(damper_lost_s)),
-            float(bool(reasons)),
-            information_delay_s(study.loaded(hardware)),
+            *(best.cost_m_s, default.cost_m_s, max(speeds_m_s), max(lost_s), float(bool(reasons))),
             *(best.parameters.get(name, math.nan) for name in self.parameters()),
-            *(*speeds_m_s, *lost_s, *damper_m_s),
+            *(*speeds_m_s, *lost_s),
         )
         figures = {
             name: value if math.isfinite(value) else math.nan
@@ -226,20 +211,6 @@ def _nearby(
     middle = np.array([best.get(name, getattr(defaults, name)) for name in space])
     moved = middle + share * (high - low) * rng.uniform(-1.0, 1.0, len(middle))
     return dict(zip(space, np.clip(moved, low, high).tolist(), strict=True))
-
-
-def information_delay_s(hardware: Loaded) -> float:
-    """Return the shortest time from a measurement to the answering command, the filter included (4.2.1)."""
-    config = hardware.scenario.controller
-    filter_s = filter_delay_s(config.filter)
-    return sample_age_s(hardware) + filter_s + config.computation_s + BUS_S
-
-
-def filter_delay_s(config: FilterConfig) -> float:
-    """Return the delay of a Butterworth low-pass for slow signals, 1 / (2 pi fc sin(pi / 2n)), 0 without one."""
-    if not config.enabled:
-        return 0.0
-    return 1.0 / (2.0 * math.pi * config.fc_hz * math.sin(math.pi / (2.0 * config.order)))
 
 
 def sample_age_s(hardware: Loaded) -> float:

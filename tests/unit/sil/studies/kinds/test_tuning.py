@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import csv
-import math
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy import signal
 
 from controller import strategies
-from controller.settings import FilterConfig
 from sil.cli import main
 from sil.files.overrides import Settings
 from sil.simulation.in_memory import run_in_memory
@@ -122,12 +118,3 @@ def test_a_study_of_tunings_tells_parameters_that_run_again(tmp_path: Path) -> N
     }
     shift = run_in_memory(lab(settings)).shifts[-1]
     assert shift.impact_speed_m_s == float(rows[1]["impact_m_s lab, 6 bar"])
-
-
-@pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])
-def test_group_delay_is_the_slope_of_the_phase(order: int, fc_hz: float) -> None:
-    b, a = signal.butter(order, 2.0 * math.pi * fc_hz, analog=True)
-    _, response = signal.freqs(b, a, np.array([1e-3, 2e-3]))
-    slope_s = -float(np.diff(np.unwrap(np.angle(response)))[0] / 1e-3)
-    delay_s = tuning.filter_delay_s(FilterConfig(order=order, fc_hz=fc_hz))
-    assert delay_s == pytest.approx(slope_s, rel=1e-6)
