@@ -6,9 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from can_dbc.messages import ControllerStatus, Fault
 from sil.report.figure import Figure
 from sil.simulation import safety
@@ -31,8 +28,8 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
         shift: tuple[str, ...] = (
             *("shift_time_s", "impact_speed_m_s", "impact_energy_j"),
             *("impact_worst_m_s", "impact_worst_energy_j", "impact_worst_force_n"),
-            *("confirmed_early_s", "overshoot_m", "oscillations"),
-            *("position_lag_10_s", "position_lag_90_s", "air_used_kg", "valve_switchings"),
+            *("confirmed_early_s", "position_lag_10_s", "position_lag_90_s"),
+            *("air_used_kg", "valve_switchings"),
         )
         shift += (*(name for name in METRICS if name in {*self.reads} - {*shift}), "failed")
         return (*shift, *safety.COLUMNS) if self.safety else shift
@@ -41,18 +38,12 @@ class RunsStudy(ScenarioStudy, frozen=True, kw_only=True, tag_field="kind", tag=
         """Run a row as `opc4 run` with its settings does. Raises InputError and RunError."""
         loaded = study.loaded(row.settings)
         run = run_in_memory(loaded)
-        last = run.shifts[-1] if run.shifts else None
-        overshoot_m, turns = _after_arrival(run.record.truth, last.arrived_s if last else None)
         reason = _why_not_done(run, loaded.scenario.expect.final_gear)
         figures = {
             name: math.nan if run.metrics.get(name) is None else float(run.metrics[name])
             for name in self.columns()
         }
-        figures |= {
-            "overshoot_m": overshoot_m,
-            "oscillations": turns,
-            "failed": float(bool(reason)),
-        }
+        figures["failed"] = float(bool(reason))
         if not self.safety:
             return RowResult(figures, "failed" if reason else "passed", reason)
         figures |= safety.figures(run.record, loaded.scenario)
@@ -105,18 +96,3 @@ def _violations(figures: Mapping[str, float], sight_s: float) -> list[str]:
         ),
     }
     return [text for text, is_violated in violated.items() if is_violated]
-
-
-def _after_arrival(
-    truth: Mapping[str, NDArray[np.float64]], arrived_s: float | None
-) -> tuple[float, float]:
-    """Return how far the stay leaves its stop again [m], and how often it turns, after arrival."""
-    if arrived_s is None:
-        return math.nan, math.nan
-    later = truth["time_s"] >= arrived_s
-    x, v = truth["position_m"][later], truth["velocity_m_s"][later]
-    if len(x) < 3:
-        return 0.0, 0.0
-    moving = v[np.abs(v) > 1e-3]
-    turns = int(np.count_nonzero(np.diff(np.sign(moving)) != 0))
-    return float(np.max(np.abs(x - x[-1]))), float(turns)

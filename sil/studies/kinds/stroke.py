@@ -86,7 +86,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
         """Return the figures of a stroke."""
         return (
             *("arrival_s", "impact_speed_m_s", "impact_energy_j", "impact_worst_m_s"),
-            *("air_used_kg", "first_motion_s", "first_standstill_m", "standstills"),
+            *("air_used_kg", "first_motion_s", "standstills"),
             *("charging_drop_pa", "passive_peak_pa", "failed"),
         )
 
@@ -99,7 +99,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
         charging_pa = charging_pa[stroke.time_s < (impact.time_s if impact else stroke.time_s[-1])]
         drop_pa = np.max(np.maximum.accumulate(charging_pa) - charging_pa, initial=0.0)
         moved = np.flatnonzero(np.abs(stroke.position_m - stroke.position_m[0]) > 5e-5)
-        turns_m = [e.position_m for e in stroke.events if e.name == "turn"]
+        turns = sum(e.name == "turn" for e in stroke.events)
         figures = {
             "arrival_s": impact.time_s if impact else math.nan,
             "impact_speed_m_s": impact.speed_m_s if impact else math.nan,
@@ -107,8 +107,7 @@ class StrokeStudy(StudyFile, frozen=True, kw_only=True, tag_field="kind", tag="s
             "impact_worst_m_s": _worst_m_s(stroke) if impact else math.nan,
             "air_used_kg": stroke.balance.air_in_kg,
             "first_motion_s": float(stroke.time_s[moved[0]]) if len(moved) else math.nan,
-            "first_standstill_m": turns_m[0] if turns_m else math.nan,
-            "standstills": float(len(turns_m)),
+            "standstills": float(turns),
             "charging_drop_pa": float(drop_pa),
             "passive_peak_pa": float(np.max(stroke.pressure_pa(opposing))),
             "failed": 0.0 if impact else 1.0,
