@@ -1,4 +1,4 @@
-"""Simulate many command sequences under many loads in one batch: how hard each arrives, and when.
+"""Simulate commands under many loads in one batch: how hard each arrives, and when.
 
 The loads differ in one unknown, which the synchronizer's release reveals.
 """
@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.instants import NS_PER_S
 from plant.batch.batch import Strokes, simulate_batch
-from plant.devices.valve import ValveTiming, switch_schedule
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.integrator.loop import DONE
@@ -39,14 +37,13 @@ GEARBOX = tuple(
 
 @dataclass(frozen=True)
 class Arrivals:
-    """How command sequences arrive, each [sequences, loads]; speeds in m/s, times in s.
+    """How strokes arrive, each [strokes]; speeds in m/s, times in s.
 
-    impact_stay_m_s: hardest stop of the stay; impact_worst_m_s: hardest impact that counts. All but revealed_s
-    are infinite for an arrival that is too late or does not last.
+    impact_worst_m_s: hardest impact that counts. All but revealed_s are infinite for an arrival that is too
+    late or does not last.
     """
 
     revealed_s: Floats
-    impact_stay_m_s: Floats
     impact_worst_m_s: Floats
     arrival_s: Floats
 
@@ -94,35 +91,18 @@ class LoadModel:
         lasts &= (result.final[:, LengthState.x_s] > self.stop_m) & np.isfinite(arrival_s)
         return Arrivals(
             _first(happened & (guard == self._release), time_s),
-            *(np.where(lasts, each, np.inf) for each in (stay_m_s, worst_m_s, arrival_s)),
+            *(np.where(lasts, each, np.inf) for each in (worst_m_s, arrival_s)),
         )
 
 
-def arrivals_of(
-    parameters: ParameterSet,
-    cases: Sequence[StrokeConditions],
-    sequences: Sequence[Commands],
-    limit_s: float = 0.5,
-) -> Arrivals:
-    """Simulate each sequence under every load; each [sequences, loads]; later than limit_s is too late."""
-    model = LoadModel([make_setup(parameters, case) for case in cases])
-    timing = ValveTiming.from_parameters(parameters)
-    schedules = [
-        switch_schedule([(t, "BNF".index(v), duty) for t, v, duty in commands], timing, 3)
-        for commands in sequences
-    ]
-    switches = np.zeros((len(schedules), max(map(len, schedules)), 4))
-    switches[:, :, 0] = np.inf
-    for rows, schedule in zip(switches, schedules, strict=True):
-        rows[: len(schedule), :3] = [(at_ns / NS_PER_S, c, u) for at_ns, c, u in schedule]
-    loads = np.tile(np.arange(len(cases)), len(sequences))
-    duration_s = np.full(len(loads), limit_s + HOLD_S)
-    strokes = model.take(loads, np.repeat(switches, len(cases), axis=0), duration_s)
-    judged = model.arrivals(strokes)
-    lasts = judged.arrival_s <= limit_s
-    speeds = (judged.impact_stay_m_s, judged.impact_worst_m_s, judged.arrival_s)
-    columns = (judged.revealed_s, *(np.where(lasts, each, np.inf) for each in speeds))
-    return Arrivals(*(column.reshape(-1, len(cases)) for column in columns))
+def arrivals_of(parameters: ParameterSet, cases: Sequence[StrokeConditions]) -> Arrivals:
+    """Simulate strokes; one that arrives after 0.5 s is too late."""
+    model, latest_s = LoadModel([make_setup(parameters, case) for case in cases]), 0.5
+    strokes = replace(model.strokes, duration_s=np.array([latest_s + HOLD_S]))
+    arrivals = model.arrivals(strokes)
+    in_time = arrivals.arrival_s <= latest_s
+    figures = arrivals.impact_worst_m_s, arrivals.arrival_s
+    return Arrivals(arrivals.revealed_s, *(np.where(in_time, each, np.inf) for each in figures))
 
 
 def _first(which: NDArray[np.bool_], time_s: Floats) -> Floats:

@@ -97,9 +97,9 @@ class Case:
             return measure.value
         if measure.strokes is not None:
             arrivals = self._pushed(measure.strokes)
-            values = arrivals.impact_worst_m_s[0]
+            values = arrivals.impact_worst_m_s
             if measure.of == "last_part_s":
-                values = arrivals.arrival_s[0] - arrivals.revealed_s[0]
+                values = arrivals.arrival_s - arrivals.revealed_s
             impulses_n_s = [case.sync_impulse_n_s for case in GEARBOX]
             one = measure.impulse_n_s
             return float(values.max() if one is None else values[impulses_n_s.index(one)])
@@ -121,7 +121,7 @@ class Case:
                 for case in GEARBOX
             ]
             try:
-                self._arrivals[load] = arrivals_of(self.parameters, cases, [PUSH.commands])
+                self._arrivals[load] = arrivals_of(self.parameters, cases)
             except IntegrationError as error:
                 raise RunError(str(error)) from None
         return self._arrivals[load]
