@@ -1,4 +1,4 @@
-"""Exact length of CAN 2.0 data frames on the wire: CRC-15 and bit stuffing.
+"""Exact length of extended CAN 2.0 data frames on the wire: CRC-15 and bit stuffing; bounds for standard ones, too.
 
 Stuffable part of a frame, from start of frame to the end of the CRC sequence, in bits:
 extended 54 + 8 n (SOF 1, id 11, SRR 1, IDE 1, id 18, RTR 1, r1 1, r0 1, DLC 4, data 8 n, CRC 15),
@@ -62,29 +62,19 @@ def crc15(bits: int, count: int) -> int:
     return crc
 
 
-def header_bits(can_id: int, length: int, extended: bool = True) -> tuple[int, int]:
-    """Return the bits from start of frame to length code as a number, and their count. Raises ValueError."""
-    if not 0 <= length <= 8:
-        raise ValueError(f"{length} data bytes; expected 0 to 8")
-    if not 0 <= can_id < (1 << 29 if extended else 1 << 11):
-        raise ValueError(f"identifier {can_id:#x} does not fit {29 if extended else 11} bits")
-    if extended:
-        return (can_id >> 18) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | length, 39
-    return can_id << 7 | length, 19
-
-
 @lru_cache(maxsize=4096)
-def _after_header(can_id: int, length: int, extended: bool) -> tuple[int, int, int, int]:
-    """Return CRC, stuffing state and stuff bits after the header, and the unstuffed frame's length."""
-    header, count = header_bits(can_id, length, extended)
-    state, inserted = _stuff_bits(0, header, count)
-    return crc15(header, count), state, inserted, count + 8 * length + 15 + UNSTUFFED_BITS
+def _after_header(can_id: int, length: int) -> tuple[int, int, int, int]:
+    """Return CRC, stuffing state and stuff bits after the length code, and the unstuffed frame's length."""
+    if not (0 <= can_id < 1 << 29 and length <= 8):
+        raise ValueError(f"{can_id:#x}, {length} bytes; expected 29 bits and at most 8 bytes")
+    header = (can_id >> 18) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | length
+    return crc15(header, 39), *_stuff_bits(0, header, 39), shortest_frame_bits(length)
 
 
 @lru_cache(maxsize=1 << 15)
-def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
+def frame_bits(can_id: int, data: bytes) -> int:
     """Return the bits from start to end of frame, stuff bits included, no intermission. Raises ValueError."""
-    crc, state, inserted, plain = _after_header(can_id, len(data), extended)
+    crc, state, inserted, plain = _after_header(can_id, len(data))
     for byte in data:
         crc = (crc << 8 & 0x7FFF) ^ _CRC_BYTE[crc >> 7 ^ byte]
         step = _STUFF_BYTE[state << 8 | byte]
@@ -105,6 +95,5 @@ def longest_frame_bits(length: int, extended: bool = True) -> int:
 
 
 def shortest_frame_bits(length: int, extended: bool = True) -> int:
-    """Return the bits of a frame without any stuff bit. Raises ValueError for a wrong length."""
-    _, count = header_bits(0, length, extended)
-    return count + 8 * length + 15 + UNSTUFFED_BITS
+    """Return the bits of a frame without any stuff bit."""
+    return (54 if extended else 34) + 8 * length + UNSTUFFED_BITS

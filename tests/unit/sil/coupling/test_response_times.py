@@ -20,7 +20,6 @@ from sil.coupling.frame_bits import (
     INTERMISSION_BITS,
     crc15,
     frame_bits,
-    header_bits,
     longest_frame_bits,
     shortest_frame_bits,
 )
@@ -253,9 +252,6 @@ def test_the_bound_is_reached_but_for_the_stuffing(bitrate: int) -> None:
         assert response_ns > 0.85 * result.response_ns
 
 
-identifiers = st.tuples(st.booleans(), st.integers(0, (1 << 29) - 1)).map(
-    lambda pair: (pair[0], pair[1] if pair[0] else pair[1] & 0x7FF)
-)
 # Runs of equal bits, which stuffing is about, are rare in uniform bytes.
 payloads = st.lists(
     st.sampled_from((0x00, 0xFF, 0x0F, 0xF0, 0x1F, 0xE0, 0x83, 0x7C)) | st.integers(0, 255),
@@ -263,16 +259,11 @@ payloads = st.lists(
 ).map(bytes)
 
 
-def plain_bits(can_id: int, data: bytes, extended: bool) -> str:
+def plain_bits(can_id: int, data: bytes) -> str:
     """Start of frame to end of data, field by field as in the specification."""
-    sof, rtr, reserved = "0", "0", "0"
-    if extended:
-        base, extension = f"{can_id >> 18:011b}", f"{can_id & 0x3FFFF:018b}"
-        srr, ide = "1", "1"
-        header = sof + base + srr + ide + extension + rtr + reserved + reserved
-    else:
-        ide = "0"
-        header = sof + f"{can_id:011b}" + rtr + ide + reserved
+    base, extension = f"{can_id >> 18:011b}", f"{can_id & 0x3FFFF:018b}"
+    sof, srr, ide, rtr, reserved = "0", "1", "1", "0", "00"
+    header = sof + base + srr + ide + extension + rtr + reserved
     return header + f"{len(data):04b}" + "".join(f"{byte:08b}" for byte in data)
 
 
@@ -294,16 +285,15 @@ def stuffed(bits: str) -> str:
     return out
 
 
-@given(identifiers, payloads)
+@given(st.integers(0, (1 << 29) - 1), payloads)
 @settings(max_examples=400, deadline=None)
-def test_length_is_that_of_the_frame_written_out(kind: tuple[bool, int], data: bytes) -> None:
-    extended, can_id = kind
-    bits = plain_bits(can_id, data, extended)
+def test_length_is_that_of_the_frame_written_out(can_id: int, data: bytes) -> None:
+    bits = plain_bits(can_id, data)
     on_the_wire = stuffed(bits + divided(bits))
     assert "000000" not in on_the_wire
     assert "111111" not in on_the_wire
     acknowledge, end_of_frame = "101", "1111111"
-    assert frame_bits(can_id, data, extended) == len(on_the_wire + acknowledge + end_of_frame)
+    assert frame_bits(can_id, data) == len(on_the_wire + acknowledge + end_of_frame)
 
 
 def test_crc_has_its_published_check_value() -> None:
@@ -320,10 +310,7 @@ def test_published_bounds(length: int) -> None:
     assert shortest_frame_bits(length, True) + INTERMISSION_BITS == 67 + 8 * length
 
 
-@pytest.mark.parametrize(
-    ("can_id", "length", "extended"),
-    [(0x800, 0, False), (-1, 0, True), (1 << 29, 0, True), (0, 9, True), (0, -1, False)],
-)
-def test_what_is_no_frame_is_refused(can_id: int, length: int, extended: bool) -> None:
-    with pytest.raises(ValueError, match=r"expected 0 to 8|does not fit"):
-        header_bits(can_id, length, extended)
+@pytest.mark.parametrize(("can_id", "length"), [(-1, 0), (1 << 29, 0), (0, 9)])
+def test_what_is_no_frame_is_refused(can_id: int, length: int) -> None:
+    with pytest.raises(ValueError, match="expected 29 bits and at most 8 bytes"):
+        frame_bits(can_id, bytes(length))
