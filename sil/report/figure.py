@@ -62,7 +62,7 @@ class Span:
     label: str = ""
     low: float = -inf
     high: float = inf
-    style: Literal["solid", "pale", "hatched", "frame", "dashed frame"] = "solid"
+    style: Literal["solid", "pale", "hatched"] = "solid"
 
 
 @dataclass(frozen=True)

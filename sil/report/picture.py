@@ -249,13 +249,15 @@ def _spans(axes: Axes, spans: Sequence[Span], width: float) -> None:
             labels.append((span, a, b))
     for (role, style, is_bounded), corners in looks.items():
         colour = colour_of(role)
-        frame: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 3}
         how: dict[str, Any] = {
             "solid": {"facecolors": colour, "edgecolors": colour, "linewidths": 0.7},
             "pale": {"facecolors": colour, "alpha": 0.35, "linewidths": 0},
-            "hatched": frame | {"hatch": "////", "linewidths": 0},
-            "frame": frame,
-            "dashed frame": frame | {"linestyles": "--"},
+            "hatched": {
+                "facecolors": "none",
+                "edgecolors": colour,
+                "hatch": "////",
+                "linewidths": 0,
+            },
         }[style]
         order = 2 if is_bounded else 0.5
         axes.add_collection(PolyCollection(corners, zorder=order, **how), autolim=False)

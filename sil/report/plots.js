@@ -126,16 +126,9 @@
       const [bottom, top] = [at(low, "y", 0), at(high, "y", 1)];
       const [y, wide, deep] = [Math.min(top, bottom), Math.max(last - first, ratio), Math.abs(bottom - top)];
       ctx.fillStyle = ctx.strokeStyle = colours(role);
-      if (style.endsWith("frame")) {
-        ctx.setLineDash(style === "frame" ? [] : [6 * ratio, 4 * ratio]);
-        ctx.lineWidth = 3 * ratio;
-        ctx.strokeRect(first, y, wide, deep);
-        ctx.setLineDash([]);
-      } else {
-        ctx.globalAlpha = { solid: 1, pale: 0.35, hatched: 0.6 }[style];
-        ctx.fillRect(first, y, wide, Math.max(deep, ratio));
-        ctx.globalAlpha = 1;
-      }
+      ctx.globalAlpha = { solid: 1, pale: 0.35, hatched: 0.6 }[style];
+      ctx.fillRect(first, y, wide, Math.max(deep, ratio));
+      ctx.globalAlpha = 1;
       if (!label) return;
       ctx.font = font(11);
       const fits = ctx.measureText(label).width + 4 * ratio <= wide;

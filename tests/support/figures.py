@@ -31,7 +31,7 @@ def everything() -> Figure:
         bands=[Band(x, x - 1.0, x + 1.0, "truth")],
         spans=[
             Span(0.5, 1.0, "PUSH", "inside", 0.0, 1.0), Span(-inf, inf, "grid", "", -3.0, 3.0),
-            *(Span(0.2, 0.4, "B", "", 0.0, 1.0, s) for s in ("pale", "hatched", "frame", "dashed frame")),  # type: ignore[arg-type]
+            *(Span(0.2, 0.4, "B", "", 0.0, 1.0, s) for s in ("pale", "hatched")),  # type: ignore[arg-type]
         ],
         rules=[Rule(1.0, "moment"), Rule(0.5, "level", "alarm", "y", "dashed")],
         notes=[Note(1.0, 0.5, "a note", up=4.0)],

@@ -137,6 +137,6 @@ def test_all_content_is_in_the_page_with_a_group_per_stack() -> None:
     counts = {
         name: len(panel[name]) for name in ("series", "bands", "spans", "rules", "notes", "keys")
     }
-    assert counts == {"series": 5, "bands": 1, "spans": 6, "rules": 2, "notes": 1, "keys": 1}
+    assert counts == {"series": 5, "bands": 1, "spans": 4, "rules": 2, "notes": 1, "keys": 1}
     assert panel["spans"][1][:4] == [None, None, -3.0, 3.0]
     assert right["ticks"] == [[0.0, "first"], [1.0, "second"]]
