@@ -95,4 +95,4 @@ def skew(setup: Setup, values: dict[str, float]) -> None:
 )
 def line_lag(setup: Setup, values: dict[str, float]) -> None:
     """Pressure lines: first-order lag before the gauges."""
-    setup.gauge_lag_s = values["lag_s"]
+    setup.gauge_lag_s += values["lag_s"]

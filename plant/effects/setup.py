@@ -100,6 +100,7 @@ class Setup:
             c=flow_coefficients(parameters),
             timing=ValveTiming.from_parameters(parameters),
             chain=InternalChain.from_parameters(parameters),
+            gauge_lag_s=parameters.value("cylinder.gauge_lag") if is_cylinder else 0.0,
             spool=spool,
         )
 

@@ -35,7 +35,7 @@ FACTORS: dict[str, tuple[int, ...]] = {
 
 
 def shift(setup: Setup, name: str, amount: float) -> None:
-    """Change one quantity of a setup: times exp(amount), "rise" and "fall" by seconds, "wall_density" by itself.
+    """Change one quantity of a setup: times exp(amount), delays and "gauge_lag" by seconds, "wall_density" by itself.
 
     Relative amounts add up in logarithms. What is limited moves by standard deviations of a normal distribution that
     the limits map to its tails, so that a fit of it has no bounds.
@@ -47,6 +47,8 @@ def shift(setup: Setup, name: str, amount: float) -> None:
     }
     if name in ("rise", "fall"):
         shift_delay(setup, name, amount)
+    elif name == "gauge_lag":
+        setup.gauge_lag_s = max(0.0, setup.gauge_lag_s + amount)
     elif name == "wall_density":
         setup.p.wall_density = max(0.0, setup.p.wall_density + amount)
     elif name in limited:

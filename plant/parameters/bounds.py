@@ -45,6 +45,7 @@ BY_PATH = {
     "cylinder.wall_density": (0.0, 2.0),
     "cylinder.wall_ends": (0.0, 10.0),
     "cylinder.kappa": (1.0, 1.7),
+    "cylinder.gauge_lag": (0.0, 0.1),
     "position_sensor.t_mid": (0.0, 10.0),
     "position_sensor.slope": (-1e3, 1e3),
 }

@@ -24,7 +24,7 @@ UNITS = {
         for name in (
             *("friction", "breakaway", "viscous", "mass", "spring", "rise", "fall", "flow_in"),
             *("flow_out", "critical", "volume_a", "volume_b", "kappa"),
-            *("wall_heat", "wall_density", "wall_ends"),
+            *("wall_heat", "wall_density", "wall_ends", "gauge_lag"),
         )
     },
     **{f"posterior_truck.{name}": unit for name, unit in OF_TRUCK.items()},

@@ -29,6 +29,7 @@ UNITS = {
     "cylinder.wall_density": "-",
     "cylinder.wall_ends": "-",
     "cylinder.kappa": "-",
+    "cylinder.gauge_lag": "s",
     "cylinder.tube_length": "m",
     "cylinder.tube_diameter": "m",
     "cylinder.valve_frequency": "Hz",
@@ -43,7 +44,7 @@ tubes; spring: pushes back with preload + rate x; valve_c: sonic conductance C o
 and outlet, or valve_cda: the same as C_d A; valve_b: its critical pressure ratio (ISO 6358); wall_heat:
 heat transfer coefficient of the walls at a density of 1.185 kg/m^3, wall_density the power of the density with which it
 grows (0.5 to 0.8 for forced convection), wall_ends the area of a chamber's ends over that of two flat ones (0 and a
-wall_density of 1: a constant time constant); kappa: ratio of the air's specific heats; tube: from the valve to each
+wall_density of 1: a constant time constant); kappa: ratio of the air's specific heats; gauge_lag: time constant of the lines to the gauges; tube: from the valve to each
 chamber, length 0 for none; valve_frequency, damping (0: first order) and dead_zone: of a proportional valve's spool (`plant.devices.spool`), without them the valves are on/off.
 """
 
@@ -54,6 +55,7 @@ USUAL = {
     "cylinder.wall_density": 0.0,
     "cylinder.wall_ends": 1.0,
     "cylinder.kappa": 1.4,
+    "cylinder.gauge_lag": 0.0,
 }
 """Values that a data sheet may leave out. Few valves lie outside b = 0.2 to 0.5, and few cylinders outside
 h = 10 to 120 W/(m^2 K) (Carneiro and de Almeida 2006)."""

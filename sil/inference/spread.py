@@ -31,8 +31,9 @@ CYLINDER = {
     "wall_heat": (2.0, ""),
     "wall_density": (0.5, ""),
     "wall_ends": (1.0, ""),
+    "gauge_lag": (1e-3, "cylinder.gauge_lag"),
 }
-"""By quantity of a data sheet: standard deviation of its logarithm (of the delays in s; of what is limited in
+"""By quantity of a data sheet: standard deviation of its logarithm (of delays and lag in s; of what is limited in
 normal deviations), and the value whose `low` and `high` state another one as a 95 % interval.
 Breakaway is counted against the sliding friction."""
 
@@ -72,8 +73,8 @@ class Spread:
             unit = dict(zip(rows, np.sqrt(np.sum(root**2, axis=1)).tolist(), strict=True))
         elif is_cylinder:
             springs = (parameters.value(f"cylinder.spring_{of}") for of in ("rate", "preload"))
-            # of the chambers' ends only healthy strokes say enough
-            free = {"spring": any(springs), "wall_ends": calibrating}
+            # of the chambers' ends and the gauges' lines only healthy strokes say enough
+            free = {"spring": any(springs), "wall_ends": calibrating, "gauge_lag": calibrating}
             # what a data sheet does not state of the valves' delays may be far off
             wider = dict.fromkeys(("rise", "fall"), 3.0 if calibrating else 1.0)
             names = [name for name in CYLINDER if free.get(name, True)]
@@ -117,5 +118,6 @@ def stated(parameters: ParameterSet, name: str, wider: float = 1.0) -> float:
     item = parameters.entries.get(path) or parameters.entries.get(path.replace("_c_", "_cda_"))
     if item is None or item.low is None or item.high is None:
         return wider * usual
-    width = item.high - item.low if path.startswith("valve.") else log(item.high / item.low)
+    in_s = item.unit == "s"
+    width = item.high - item.low if in_s else log(item.high / item.low)
     return width / 3.92

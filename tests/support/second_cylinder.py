@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numba import njit
+from scipy.signal import lfilter
 
 R, T0, P0 = 287.0, 293.15, 101325.0
 STEP_S = 5e-6
@@ -170,8 +171,9 @@ def write_campaign(
     rng: np.random.Generator,
     strokes: Sequence[Stroke] = STROKES,
     rate_hz: float = 2000.0,
+    lag_s: float = 0.0,
 ) -> Path:
-    """Write a campaign of the unit: strokes that scatter, gauges with noise and offsets."""
+    """Write a campaign of the unit: strokes that scatter, gauges with noise and offsets, behind lines that lag."""
     folder.mkdir(parents=True)
     offsets = rng.normal(0.0, 1000.0, 2)
     area = pi / 4 * unit.bore**2
@@ -203,8 +205,15 @@ def write_campaign(
             moves += [(0.0, other, 1.0), (0.03 + unit.fall_s, other, 0.0)]
             commands += f', [0.03, "{other + 1}", 0.0]'
         time_s = np.arange(0.0, end_s, 1.0 / rate_hz)
-        out = np.zeros((len(time_s), 3))
-        run(y, numbers, np.array(sorted(moves)), time_s, out)
+        fine = 1 if lag_s == 0.0 else 20
+        out = np.zeros((fine * len(time_s), 3))
+        instants = np.arange(len(out)) / (fine * rate_hz)
+        run(y, numbers, np.array(sorted(moves)), instants, out)
+        if lag_s > 0.0:
+            kept = float(np.exp(-1.0 / (fine * rate_hz * lag_s)))
+            begin = kept * out[0, 1:]
+            out[:, 1:], _ = lfilter([1.0 - kept], [1.0, -kept], out[:, 1:], axis=0, zi=begin[None])
+        out = out[::fine]
         step = 12e5 / 4096
         gauges = out[:, 1:] + offsets + rng.normal(0.0, 500.0, (len(time_s), 2))
         wiper = out[:, 0] + rng.normal(0.0, 2e-5, len(time_s))

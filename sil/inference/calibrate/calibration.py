@@ -72,7 +72,7 @@ def calibrated_values(
             continue
         by = np.array([float(one[path]) - value for one in there]) / np.diag(steps)  # type: ignore[arg-type]
         half = 1.96 * float(np.sqrt(by @ covariance @ by))
-        if path.startswith("valve.") or value <= 0.0:
+        if path.startswith(("valve.D", "cylinder.gauge")) or value <= 0.0:
             low, high = max(0.0, value - half), value + half
         else:
             low, high = value * exp(-half / value), value * exp(half / value)
@@ -103,6 +103,7 @@ def cylinder_values(
             name: getattr(p, name) for name in ("valve_b", "wall_heat", "wall_density", "wall_ends")
         },
         "kappa": p.air_kappa,
+        "gauge_lag": setup.gauge_lag_s,
         "tube_length": 0.0,
     }
     values = {f"cylinder.{name}": float(number) for name, number in moved.items()} | delays(setup)

@@ -135,6 +135,21 @@ def test_walls_of_one_time_constant_are_fitted_from_a_data_sheet_that_is_a_third
 
 
 @pytest.mark.slow
+def test_lines_to_the_gauges_that_lag_are_fitted_and_no_later_cause(tmp_path: Path) -> None:
+    """Without them the position was off by 25 times its noise."""
+    rng = np.random.default_rng(41)
+    unit = drawn(rng)
+    healthy = write_campaign(unit, tmp_path / "healthy", rng, lag_s=1.2e-3)
+    sheet = write_sheet(unit, tmp_path / "sheet.toml", rng, 0.3)
+    again = write_campaign(unit, tmp_path / "again", rng, lag_s=1.2e-3)
+    model, out = tmp_path / "mine.toml", tmp_path / "out"
+    assert main(["calibrate", str(healthy), "--model", str(sheet), "--out", str(model)]) == 0
+    assert load(str(model)).value("cylinder.gauge_lag") == pytest.approx(1.2e-3, abs=3e-5)
+    assert main(["diagnose", str(again), "--model", str(model), "--out", str(out)]) == 0
+    assert json.loads((out / "diagnosis.json").read_text())["verdict"] == "consistent"
+
+
+@pytest.mark.slow
 def test_more_friction_is_named_with_the_calibrated_model(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     unit = drawn(rng)
