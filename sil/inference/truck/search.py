@@ -333,9 +333,7 @@ class Search:
         best = full[0]
         following = _best_of(full, EFFORT.crossed, lambda fit: -fit.evidence, np.inf)[1:]
         jobs += [
-            ((replace(best, cause=fit.cause, size=fit.size),), 8)
-            for fit in following
-            if fit.cause
+            ((replace(best, cause=fit.cause, size=fit.size),), 8) for fit in following if fit.cause
         ]
         tried = {fit.cause for fit in full}
         for cause in self.causes:
