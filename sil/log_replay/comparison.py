@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
@@ -10,27 +10,11 @@ from typing import Any, Final, NamedTuple
 from can_dbc.messages import Chamber, ControllerStatus, Etc1, SafetyBlow, ValveCommand
 from sil.log_replay.edges import MatchedEdges, SwitchingSignal, match_edges
 from sil.log_replay.excerpts import ExcerptRecorder, Row
-from sil.log_replay.signals import NAMES, Options, SignalComparer, value_text, values
+from sil.log_replay.signals import Options, SignalComparer, values
 
 RECORDED, REPLAYED = 0, 1
 CHAMBERS: Final = (Chamber.B, Chamber.N, Chamber.F)
 Side = Mapping[type, bytes]
-
-
-@dataclass
-class SignalCount:
-    """How one signal compared."""
-
-    compared: int = 0
-    differing: int = 0
-    largest: float | None = None
-    first_ns: int | None = None
-
-    def as_dict(self, base_ns: int) -> dict[str, Any]:
-        """Return plain JSON values; the time on the log's clock."""
-        first_s = None if self.first_ns is None else (self.first_ns + base_ns) / 1e9
-        counts = {"compared": self.compared, "differing": self.differing}
-        return counts | {"largest": self.largest, "first_s": first_s}
 
 
 class Difference(NamedTuple):
@@ -96,9 +80,9 @@ class Comparison:
         self._around_ns = round(options.time_s * 1e9)
         self._window_ns = round(options.edges.window_s * 1e9)
         self._judge = SignalComparer(options)
+        self.signals = self._judge.counts
         self._duty_closed = duty_closed
         self._inputs = inputs
-        self.signals: defaultdict[str, SignalCount] = defaultdict(SignalCount)
         self.ticks = 0
         self.differing_ticks = 0
         self.damaged: Counter[type] = Counter()
@@ -144,10 +128,10 @@ class Comparison:
         else:
             for kind, fields in ours.items():
                 if recorded[kind] == replayed.get(kind):
-                    self._count(kind)
+                    self._judge.count(kind)
                 else:
                     theirs = self._held[REPLAYED].get(kind)
-                    differing += self._compare(time_ns, kind, fields, theirs)
+                    differing += self._judge.compare(time_ns, kind, fields, theirs)
         self._switch(time_ns, self._part(time_ns, differing))
 
     def finish(self) -> None:
@@ -188,28 +172,6 @@ class Comparison:
         self.warm_up_ticks += bool(ours)
         return False
 
-    # --- signals ----------------------------------------------------------------------------
-    def _count(self, kind: type) -> None:
-        for name in NAMES[kind]:
-            self.signals[name].compared += 1
-
-    def _compare(
-        self, time_ns: int, kind: type, ours: tuple[Any, ...], theirs: tuple[Any, ...] | None
-    ) -> list[tuple[str, str, str]]:
-        self._count(kind)
-        if theirs is None:
-            theirs = (None,) * len(ours)
-        differing = self._judge.differing(kind, ours, theirs)
-        for index, name in differing:
-            entry = self.signals[name]
-            entry.differing += 1
-            if entry.first_ns is None:
-                entry.first_ns = time_ns
-            a, b = ours[index], theirs[index]
-            if isinstance(a, float) and isinstance(b, float):
-                entry.largest = max(entry.largest or 0.0, abs(a - b))
-        return [(name, value_text(ours[i]), value_text(theirs[i])) for i, name in differing]
-
     def _compare_waiting(self, until_ns: int) -> list[tuple[str, str, str]]:
         """Compare what was recorded up to a time with what the replay had around it."""
         differing: list[tuple[str, str, str]] = []
@@ -224,7 +186,7 @@ class Comparison:
                 best = min(near, key=lambda f: len(self._judge.differing(kind, ours, f)))
                 columns = zip(ours, best, zip(*near, strict=True), strict=True)
                 best = tuple(mine if mine in column else other for mine, other, column in columns)
-            differing += self._compare(time_ns, kind, ours, best)
+            differing += self._judge.compare(time_ns, kind, ours, best)
         return differing
 
     def _part(self, time_ns: int, differing: list[tuple[str, str, str]]) -> bool:

@@ -24,7 +24,7 @@ from sil.log_replay.recorded_frames import (
     Arrival,
     is_intact,
 )
-from sil.log_replay.signals import Options, SignalComparer, value_text, values
+from sil.log_replay.signals import Options, SignalComparer, values
 from sil.log_replay.tick_grid import Grid
 
 if TYPE_CHECKING:
@@ -79,8 +79,13 @@ class PlantSide:
         self.differing = 0
         self.unmatched = 0
         self.first: Difference | None = None
-        self.largest: dict[str, float] = {}
         self.positions: list[Position] = []
+
+    @property
+    def largest(self) -> dict[str, float]:
+        """The largest difference of each signal that differs by a number, by name."""
+        entries = sorted(self._judge.counts.items())
+        return {name: entry.largest for name, entry in entries if entry.largest is not None}
 
     # --- reading ----------------------------------------------------------------------------
     def see(self, time_ns: int, arrival: Arrival) -> None:
@@ -193,19 +198,9 @@ class PlantSide:
             if recorded is None or replayed is None:
                 self.unmatched += 1
                 continue
-            differing = self._judge.differing(kind, recorded, replayed)
-            if not differing:
-                continue
-            self.differing += 1
-            parts = [
-                (name, value_text(recorded[i]), value_text(replayed[i])) for i, name in differing
-            ]
-            if self.first is None:
-                self.first = Difference(time_ns, parts, [])
-            for index, name in differing:
-                a, b = recorded[index], replayed[index]
-                if isinstance(a, float) and isinstance(b, float):
-                    self.largest[name] = max(self.largest.get(name, 0.0), abs(a - b))
+            if parts := self._judge.compare(time_ns, kind, recorded, replayed):
+                self.differing += 1
+                self.first = self.first or Difference(time_ns, parts, [])
 
     def _partner(self, time_ns: int, kind: type, data: bytes) -> bytes | None:
         """Return the data of the replayed plant that a recorded frame is to be compared with.
@@ -244,6 +239,6 @@ class PlantSide:
             "differing": self.differing,
             "unmatched": self.unmatched,
             "first": self.first and self.first.as_dict(base_ns),
-            "largest": dict(sorted(self.largest.items())),
+            "largest": self.largest,
             "closed_at_s": None if self.closed_ns is None else (self.closed_ns + base_ns) / 1e9,
         }

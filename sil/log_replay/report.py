@@ -245,7 +245,7 @@ def plant_lines(outcome: ReplayResult) -> list[str]:
         if plant.unmatched:
             count = counted(plant.unmatched, "recorded frame")
             lines.append(f"{count} of the plant without a counterpart")
-        lines += [f"{name}: at most {x:.6g} apart" for name, x in sorted(plant.largest.items())]
+        lines += [f"{name}: at most {x:.6g} apart" for name, x in plant.largest.items()]
         if plant.first is not None:
             when, (name, a, b) = _when(outcome, plant.first.time_ns), plant.first.signals[0]
             lines.append(f"first at {when}: {name} recorded {a}, replayed {b}")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import fnmatch
-from dataclasses import fields
+from collections import defaultdict
+from dataclasses import dataclass, fields
 from enum import IntEnum, IntFlag
 from functools import lru_cache
 from pathlib import Path
@@ -59,10 +60,30 @@ def load_options(path: str | Path) -> Options:
     return options
 
 
+@dataclass
+class SignalCount:
+    """How one signal compared."""
+
+    compared: int = 0
+    differing: int = 0
+    largest: float | None = None
+    first_ns: int | None = None
+
+    def as_dict(self, base_ns: int) -> dict[str, Any]:
+        """Return plain JSON values; the time on the log's clock."""
+        first_s = None if self.first_ns is None else (self.first_ns + base_ns) / 1e9
+        counts = {"compared": self.compared, "differing": self.differing}
+        return counts | {"largest": self.largest, "first_s": first_s}
+
+
 class SignalComparer:
-    """Find the signals whose values differ under the options."""
+    """Find the signals whose values differ under the options.
+
+    counts: how each signal has compared so far.
+    """
 
     def __init__(self, options: Options) -> None:
+        self.counts: defaultdict[str, SignalCount] = defaultdict(SignalCount)
         self._compared: dict[type, tuple[tuple[int, str, float], ...]] = {
             kind: tuple(
                 (index, name, options.tolerance.get(name, 0.0))
@@ -81,6 +102,29 @@ class SignalComparer:
             for index, name, tolerance in self._compared[kind]
             if not same(ours[index], theirs[index], tolerance)
         ]
+
+    def count(self, kind: type) -> None:
+        """Count a message as compared."""
+        for name in NAMES[kind]:
+            self.counts[name].compared += 1
+
+    def compare(
+        self, time_ns: int, kind: type, ours: tuple[Any, ...], theirs: tuple[Any, ...] | None
+    ) -> list[tuple[str, str, str]]:
+        """Compare two messages, one of which may be missing, and count; return names and values that differ."""
+        self.count(kind)
+        if theirs is None:
+            theirs = (None,) * len(ours)
+        differing = self.differing(kind, ours, theirs)
+        for index, name in differing:
+            entry = self.counts[name]
+            entry.differing += 1
+            if entry.first_ns is None:
+                entry.first_ns = time_ns
+            a, b = ours[index], theirs[index]
+            if isinstance(a, float) and isinstance(b, float):
+                entry.largest = max(entry.largest or 0.0, abs(a - b))
+        return [(name, value_text(ours[i]), value_text(theirs[i])) for i, name in differing]
 
 
 def same(ours: Any, theirs: Any, tolerance: float) -> bool:
