@@ -90,7 +90,7 @@ def convert(
 
 def _signals(source: str, target: str) -> TraceReport | None:
     """Convert a table of signals if the source is one."""
-    from sil.logs.traces import holds_signals_only, is_trace_csv, mf4_to_trace, trace_to_mf4
+    from sil.logs.traces import is_trace_csv, mf4_to_trace, trace_to_mf4
 
     plain = target.removesuffix(".gz").lower()
     if is_trace_csv(source):
@@ -100,6 +100,4 @@ def _signals(source: str, target: str) -> TraceReport | None:
                 "the same run holds the frames)"
             )
         return trace_to_mf4(source, target)
-    if plain.endswith(".csv") and holds_signals_only(source):
-        return mf4_to_trace(source, target)
-    return None
+    return mf4_to_trace(source, target) if plain.endswith(".csv") else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -117,31 +117,19 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
     return TraceReport(len(times_s), tuple(names[1:]), tuple(units))
 
 
-def holds_signals_only(path: str) -> bool:
-    """Return whether a file is an MF4 with decoded signals and without CAN frames; a broken one is none."""
-    source = ByteSource(path, LogReport(path, "mf4"))
-    try:
-        if source.packed or not is_mf4(source.head):
-            return False
-        with Mf4File(source, LogReport(path, "mf4")) as file:
-            return bool(file.signal_groups())
-    except InputError:
-        return False
-    finally:
-        source.close()
-
-
-def mf4_to_trace(source: str, target: str) -> TraceReport:
-    """Write the signals of an MF4 file as a trace CSV (.gz packs); times from the file's start.
+def mf4_to_trace(source: str, target: str) -> TraceReport | None:
+    """Write the signals of an MF4 file as a trace CSV (.gz packs), times from its start; None for other files.
 
     Raises InputError for a file of several tables, and for signals that are no plain numbers.
     """
-    opened = ByteSource(source, LogReport(source, "mf4", strict=True))
-    try:
-        with Mf4File(opened, LogReport(source, "mf4", strict=True)) as file:
+    report = LogReport(source, "mf4", strict=True)
+    with closing(ByteSource(source, report)) as opened:
+        if opened.packed or not is_mf4(opened.head):
+            return None
+        with Mf4File(opened, report) as file:
+            if not file.signal_groups():
+                return None
             signals = _signals(source, file)
-    finally:
-        opened.close()
     names = tuple(signal.name for signal in signals)
     columns = [signals[0].timestamps, *(signal.samples for signal in signals)]
     with written(target) as file, ExitStack() as packed:

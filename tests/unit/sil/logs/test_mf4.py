@@ -15,7 +15,6 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, convert, open_log, open_writer
-from sil.logs.traces import holds_signals_only
 from tests.support.golden_logs import write
 
 
@@ -191,9 +190,6 @@ def test_a_logger_file(tmp_path: Path) -> None:
 def test_signals_only_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds decoded signals only \(engine_speed, .*no CAN"):
         read(signal_file(), tmp_path)
-    assert holds_signals_only(str(tmp_path / "log.mf4"))
-    (tmp_path / "log.mf4").write_bytes(logger_file(EVENTS, START_NS))
-    assert not holds_signals_only(str(tmp_path / "log.mf4"))
 
 
 @pytest.mark.parametrize("version", [b"3.30    ", b"5.00    "])
