@@ -12,7 +12,7 @@ from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format
 from sil.logs.frame import LogFrame
 from sil.logs.lockstep import LockstepFilter
-from sil.logs.report import MOST_LOCATIONS, LogReport
+from sil.logs.report import LogReport
 from sil.logs.source import ByteSource
 from sil.logs.times import format_ns
 
@@ -69,7 +69,7 @@ class LogReader:
         if report.frames or report.lockstep:
             return
         if report.skipped or report.truncated:
-            first = next(iter(report.skipped_locations), report.notes[0] if report.notes else "")
+            first = (report.places["skipped"] + report.notes)[0]
             raise InputError(
                 f"{self.path}: {first}; no CAN frame found, expected a log of format {self.format}"
             )
@@ -114,23 +114,14 @@ class _Watch:
                 instant = [frame]
             elif time_ns < last_ns:
                 instant = [frame]
-                report.backwards += 1
                 back = f"back from {format_ns(last_ns)} s to {format_ns(time_ns)} s"
                 text = f"{self._location_word} {location}: the clock steps {back}"
-                self._found(report.backwards_locations, text, "times that do not fall")
+                report.broken("backwards", text, "times that do not fall")
             elif frame in instant:
-                report.duplicates += 1
                 twice = f"the frame {frame.can_id:X} at {format_ns(time_ns)} s is in the log twice"
                 text = f"{self._location_word} {location}: {twice}"
-                self._found(report.duplicate_locations, text, "every frame once")
+                report.broken("duplicates", text, "every frame once")
             elif len(instant) < 64:
                 instant.append(frame)
             last_ns = time_ns
         self._instant = instant
-
-    def _found(self, locations: list[str], text: str, expected: str) -> None:
-        """Add a location to a list of the report. Raises InputError if reading is strict."""
-        if self._report.strict:
-            raise InputError(f"{self._report.path}: {text}; expected {expected}")
-        if len(locations) < MOST_LOCATIONS:
-            locations.append(text)

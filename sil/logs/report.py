@@ -38,12 +38,11 @@ class Location:
     reason: str
     line: int | None = None
     byte: int | None = None
-    path: str = ""  # only where several files are read as one log
 
     def __str__(self) -> str:
         line = None if self.line is None else f"line {self.line}"
         byte = None if self.byte is None else f"byte {self.byte}"
-        return ": ".join(filter(None, (self.path, line or byte, printable(self.reason))))
+        return ": ".join(filter(None, (line or byte, printable(self.reason))))
 
 
 @dataclass(slots=True)
@@ -53,7 +52,7 @@ class LogReport:
     frames: all frames read; error, remote and fd are shares of it.
     other: things in the log that are no CAN frames, by name (status lines, LIN frames, ...).
     skipped: broken lines or records left out; backwards: steps of the clock to an earlier time;
-    duplicates: frames that repeat one of the same instant in every field.
+    duplicates: frames that repeat one of the same instant in every field; places: the first of each of these.
     truncated: the log ends inside a line, record or block.
     lockstep: frames left out because they coordinated a lockstep run, by name.
     time_base: "absolute", "relative", "delta" (differences, summed up) or "none".
@@ -67,11 +66,11 @@ class LogReport:
     remote: int = 0
     fd: int = 0
     skipped: int = 0
-    skipped_locations: list[Location] = field(default_factory=list)
     backwards: int = 0
-    backwards_locations: list[str] = field(default_factory=list)
     duplicates: int = 0
-    duplicate_locations: list[str] = field(default_factory=list)
+    places: dict[str, list[str]] = field(
+        default_factory=lambda: {"skipped": [], "backwards": [], "duplicates": []}
+    )
     truncated: bool = False
     other: Counter[str] = field(default_factory=Counter)
     lockstep: Counter[str] = field(default_factory=Counter)
@@ -97,21 +96,22 @@ class LogReport:
                 setattr(joined, name, getattr(joined, name) + getattr(report, name))
             joined.truncated |= report.truncated
             joined.other += report.other
-            for name in ("backwards_locations", "duplicate_locations", "notes"):
-                texts = getattr(joined, name)
-                texts += [f"{report.path}: {text}" for text in getattr(report, name)]
-            joined.skipped_locations += [
-                replace(one, path=report.path) for one in report.skipped_locations
-            ]
+            joined.notes += [f"{report.path}: {note}" for note in report.notes]
+            for kind, places in report.places.items():
+                joined.places[kind] += [f"{report.path}: {place}" for place in places]
         return joined
 
-    def skip(self, location: Location, count: int = 1) -> None:
-        """Count a broken line or record, or several at one place. Raises InputError if `strict`."""
+    def broken(self, kind: str, place: str, expected: str) -> None:
+        """Count one that is "skipped", "backwards" or in "duplicates". Raises InputError if `strict`."""
         if self.strict:
-            raise InputError(f"{self.path}: {location}; expected a whole {self.format} log")
-        self.skipped += count
-        if len(self.skipped_locations) < MOST_LOCATIONS:
-            self.skipped_locations.append(location)
+            raise InputError(f"{self.path}: {place}; expected {expected}")
+        setattr(self, kind, getattr(self, kind) + 1)
+        if len(self.places[kind]) < MOST_LOCATIONS:
+            self.places[kind].append(place)
+
+    def skip(self, location: Location) -> None:
+        """Count a broken line or record. Raises InputError if `strict`."""
+        self.broken("skipped", str(location), f"a whole {self.format} log")
 
     def cut(self, location: Location) -> None:
         """Mark the log as cut off. Raises InputError if `strict`."""
@@ -141,18 +141,16 @@ class LogReport:
         """What is not whole, in one line; empty if it is `clean`."""
         parts = [note for note in self.notes if self.truncated and _CUT in note]
         parts += [
-            f"{what}: {count}, the first {places[0]}" for what, count, places in self._broken()
+            f"{what}: {count}, the first {places[0]}" for what, count, places in self._kinds()
         ]
         return "; ".join(parts)
 
-    def _broken(self) -> Iterator[tuple[str, int, Sequence[object]]]:
-        """Yield the kinds of what is broken, with count and locations."""
-        kinds: tuple[tuple[str, int, Sequence[object]], ...] = (
-            ("broken and skipped", self.skipped, self.skipped_locations),
-            ("clock steps backwards", self.backwards, self.backwards_locations),
-            ("duplicates", self.duplicates, self.duplicate_locations),
-        )
-        return (kind for kind in kinds if kind[1])
+    def _kinds(self) -> Iterator[tuple[str, int, list[str]]]:
+        """Yield the kinds of what is broken, with count and places."""
+        titles = "broken and skipped", "clock steps backwards", "duplicates"
+        for title, (kind, places) in zip(titles, self.places.items(), strict=True):
+            if count := getattr(self, kind):
+                yield title, count, places
 
     def lockstep_line(self) -> str:
         """Return what was left out of the capture of a lockstep run; empty if it is none."""
@@ -163,10 +161,9 @@ class LogReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
-        values = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "strict"}
-        for name in ("skipped", "backwards", "duplicate"):
-            values[f"{name}_places"] = list(map(str, values.pop(f"{name}_locations")))
-        return values
+        left_out = "strict", "places"
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in left_out}
+        return values | {f"{kind}_places": places for kind, places in self.places.items()}
 
     def lines(self) -> list[str]:
         """Return the report as text: one fact per line, only what is there."""
@@ -179,9 +176,9 @@ class LogReport:
         lines += [f"not frames: {count} {name}" for name, count in sorted(self.other.items())]
         if left_out := self.lockstep_line():
             lines.append(left_out)
-        for title, count, locations in self._broken():
+        for title, count, places in self._kinds():
             lines.append(f"{title}: {count}")
-            lines += [f"  {location}" for location in locations]
-            if count > len(locations):
-                lines.append(f"  and {count - len(locations)} more")
+            lines += [f"  {place}" for place in places]
+            if count > len(places):
+                lines.append(f"  and {count - len(places)} more")
         return lines + self.notes

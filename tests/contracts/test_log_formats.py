@@ -287,7 +287,7 @@ def test_the_clock_may_step_back(fmt: Format, tmp_path: Path) -> None:
     reader = open_log(path)
     assert [(f.time_ns, f.data) for f in reader] == [(f.time_ns, f.data) for f in frames]
     assert reader.report.backwards == 1
-    assert "steps back" in reader.report.backwards_locations[0]
+    assert "steps back" in reader.report.places["backwards"][0]
     with pytest.raises(InputError, match="steps back"):
         list(open_log(path, strict=True))
 

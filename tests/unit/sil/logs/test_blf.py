@@ -125,7 +125,7 @@ def test_times_in_both_units_and_header_versions() -> None:
     assert one(body, ObjectType.CAN, flags=1) == CLASSIC._replace(time_ns=START_NS + 50_000)
     assert one(body, ObjectType.CAN, version=2) == CLASSIC
     found, report = objects(as_object(ObjectType.CAN, body, flags=0))
-    assert not found and str(report.skipped_locations[0]).startswith("byte 144: time flag 0, 48 ")
+    assert not found and report.places["skipped"][0].startswith("byte 144: time flag 0, 48 ")
 
 
 @given(
@@ -179,7 +179,7 @@ def test_a_damaged_container_is_left_out_whole(tmp_path: Path) -> None:
     frames, report = read(file_of(parts[0], bytes(damaged), parts[2]), tmp_path)
     assert [frame.can_id - 0x100 for frame in frames] == [*range(10), *range(20, 30)]
     assert report.skipped == 1
-    assert report.skipped_locations[0].byte == 144 + len(parts[0])
+    assert report.places["skipped"][0].startswith(f"byte {144 + len(parts[0])}: ")
     with pytest.raises(InputError, match=r"byte \d+: damaged container"):
         read(file_of(parts[0], bytes(damaged), parts[2]), tmp_path, strict=True)
 
@@ -196,7 +196,7 @@ def test_rubbish_inside_a_container(tmp_path: Path) -> None:
     frames, report = read(file_of(container(content)), tmp_path)
     assert [frame.can_id for frame in frames] == [0x100, 0x101, 0x102]
     assert report.skipped == 2
-    assert "33 bytes left out" in str(report.skipped_locations[0])
+    assert "33 bytes left out" in report.places["skipped"][0]
 
 
 def test_a_cut_log_gives_what_there_is(tmp_path: Path) -> None:

@@ -111,19 +111,16 @@ def test_everything_wrong_is_counted_and_located() -> None:
         (11_300, 0x125),
     ]
     assert report.skipped == 6
-    assert [(location.line, location.byte) for location in report.skipped_locations[:2]] == [
-        (3, 48),
-        (4, 56),
-    ]
+    assert [place.split(":")[0] for place in report.places["skipped"][:2]] == ["line 3", "line 4"]
     text = (DATA / "torn.log").read_bytes()
     assert text[48:].startswith(b"garbage\n")
     assert text[56:].startswith(b"(10.100000) can0 123#1\n")
     assert report.duplicates == 1
-    assert report.duplicate_locations == [
+    assert report.places["duplicates"] == [
         "line 2: the frame 123 at 10.000000 s is in the log twice"
     ]
     assert report.backwards == 1
-    assert report.backwards_locations[0].startswith("line 5: the clock steps back from 10.000000 s")
+    assert report.places["backwards"][0].startswith("line 5: the clock steps back from 10.000000 s")
     assert report.truncated
     assert report.other == {"CAN XL frame": 1, "frame dropped by the recorder": 7}
     assert (report.first_ns, report.last_ns) == (10 * 10**9, 11_300_000_000)
@@ -167,7 +164,7 @@ def test_locations_are_few_and_counts_are_all(tmp_path: Path) -> None:
     reader = log_of(tmp_path / "log.log", "(1.000000) can0 123#11\n" + "?\n" * 5000)
     list(reader)
     assert reader.report.skipped == 5000
-    assert len(reader.report.skipped_locations) == 10
+    assert len(reader.report.places["skipped"]) == 10
     assert "  and 4990 more" in reader.report.lines()
 
 
@@ -183,7 +180,7 @@ def test_duplicates_are_found_among_frames_of_one_instant(tmp_path: Path) -> Non
     reader = log_of(tmp_path / "log.log", "\n".join([*words, "(2.0) can0 123#11", ""]))
     assert len(list(reader)) == 5
     assert reader.report.duplicates == 1
-    assert "line 4" in reader.report.duplicate_locations[0]
+    assert "line 4" in reader.report.places["duplicates"][0]
 
 
 def test_times_across_batches_are_watched(tmp_path: Path) -> None:
@@ -191,7 +188,7 @@ def test_times_across_batches_are_watched(tmp_path: Path) -> None:
     lines[3000] = f"({2998}.500000) can0 123#11"
     reader = log_of(tmp_path / "log.log", "\n".join([*lines, ""]))
     assert len(list(reader)) == 5000
-    assert reader.report.backwards_locations == [
+    assert reader.report.places["backwards"] == [
         "line 3001: the clock steps back from 2999.000000 s to 2998.500000 s"
     ]
 

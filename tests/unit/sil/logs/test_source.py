@@ -75,7 +75,7 @@ def test_damage_in_a_gzip_is_reported(tmp_path: Path) -> None:
     path.write_bytes(blob)
     reader = open_log(path)
     assert list(reader)
-    assert any("damaged gzip" in str(location) for location in reader.report.skipped_locations)
+    assert any("damaged gzip" in place for place in reader.report.places["skipped"])
     with pytest.raises(InputError, match="damaged gzip"):
         list(open_log(path, strict=True))
 

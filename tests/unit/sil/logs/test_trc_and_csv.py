@@ -116,7 +116,7 @@ def test_broken_lines(line: str, tmp_path: Path) -> None:
     sound = ";$FILEVERSION=2.1\n;$STARTTIME=44548.5\n1 17000.000 DT 1 00000100 Tx - 1 01\n"
     reader = log_of(tmp_path / "log.trc", f"{sound}{line}\n")
     assert len(list(reader)) == 1
-    assert reader.report.skipped_locations[0].line == 4
+    assert reader.report.places["skipped"][0].startswith("line 4: ")
 
 
 common = st.tuples(
@@ -232,7 +232,7 @@ def test_broken_rows(row: str, tmp_path: Path) -> None:
         tmp_path / "log.csv", f"{OUR_HEADER}\n0.0,can0,Rx,123,0,0,0,0,0,0,1,01\n{row}\n"
     )
     assert len(list(reader)) == 1
-    assert reader.report.skipped_locations[0].line == 3
+    assert reader.report.places["skipped"][0].startswith("line 3: ")
 
 
 def test_signals_are_named() -> None:
