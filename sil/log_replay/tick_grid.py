@@ -193,8 +193,8 @@ def _period(instants: Sequence[tuple[int, int]]) -> int | None:
     """Return the period of (counter, time): their mean distance, as round as their jitter allows.
 
     The first and the last instant are each off by one blocking at most, or by what else scatters the steps:
-    the mean over n periods by that over n. Of a unit that stood still for a while, the usual step is the
-    period if far more instants lie on its grid.
+    the mean over n periods by that over n. Of a unit that stood still for a while, which makes the mean longer
+    by 2 % and more, the usual step is the period.
     """
     steps = [
         b_ns - a_ns
@@ -205,23 +205,20 @@ def _period(instants: Sequence[tuple[int, int]]) -> int | None:
         return None
     usual_ns = median(steps)
     jitter_ns = max(BLOCKED_NS, min(max(steps) - min(steps), 4 * usual_ns))
-    periods = 0
+    periods = lasted_ns = 0
     for (a, a_ns), (b, b_ns) in pairwise(instants):
         passed = (b - a) % COUNTERS  # and whole rounds of the counter, or one less if overtaken
-        periods += passed + COUNTERS * round(((b_ns - a_ns) / usual_ns - passed) / COUNTERS)
-    mean_ns = (instants[-1][1] - instants[0][1]) / max(periods, 1)
+        if b_ns - a_ns < 2_000_000_000:  # else nobody was recorded
+            periods += passed + COUNTERS * round(((b_ns - a_ns) / usual_ns - passed) / COUNTERS)
+            lasted_ns += b_ns - a_ns
+    mean_ns = lasted_ns / max(periods, 1)
     for found_ns in (mean_ns, _mean_of_spans(instants)):
         nominal_ns = max(round((found_ns or 1.0) / 500_000), 1) * 500_000
         if found_ns and abs(nominal_ns - found_ns) <= NOMINAL * nominal_ns:
             return nominal_ns  # clocks that drift apart, no odd period
-    best = _rounded(mean_ns, 2 * jitter_ns / max(periods, 1))
-    most = _on_grid(instants, best)
-    for step_ns in (500_000, 100_000):
-        usual = max(round(usual_ns / step_ns), 1) * step_ns
-        count = _on_grid(instants, usual)
-        if count >= max(2 * most, len(instants) // 5):
-            best, most = usual, count
-    return best
+    if mean_ns > 1.02 * usual_ns:
+        return _rounded(usual_ns, 0.02 * usual_ns)
+    return _rounded(mean_ns, 2 * jitter_ns / max(periods, 1))
 
 
 def _mean_of_spans(instants: Sequence[tuple[int, int]]) -> float | None:
@@ -245,11 +242,6 @@ def _rounded(value_ns: float, within_ns: float) -> int:
         if abs(rounded_ns - value_ns) <= within_ns:
             return rounded_ns
     return max(round(value_ns), 1000)
-
-
-def _on_grid(instants: Sequence[tuple[int, int]], period_ns: int) -> int:
-    """Return how many instants have the same phase, to 10 us."""
-    return Counter(time_ns % period_ns // 10_000 for _, time_ns in instants).most_common(1)[0][1]
 
 
 def _skew(bounds: Sequence[tuple[int, int]], period_ns: int) -> float:
