@@ -55,11 +55,10 @@ class WrongBase(Exception):
 
 
 class _Event(NamedTuple):
-    """A frame without its time, whether its line is surely whole, and a remark for the report."""
+    """A frame without its time, and whether its line is surely whole."""
 
     frame: LogFrame
     whole: bool = True
-    remark: str = ""
 
 
 def parse_event(text: str, decimal: bool) -> _Event:
@@ -136,15 +135,13 @@ def _classic(match: re.Match[str], decimal: bool) -> _Event:
         raise ValueError(f"length {code_text} ; expected a decimal number as the header states")
     code = int(code_text, base)
     data = leading_bytes(words, base)
-    length, raw_dlc, fd, remark = code, 0, False, ""
-    if code > 8 and len(data) <= 8:
+    length, raw_dlc, fd = code, 0, code > 8 and len(data) > 8
+    if code > 8 and not fd:
         length, raw_dlc = 8, code
-    elif code > 8:
-        fd, remark = True, "classic lines with more than 8 bytes were read as CAN FD"
     if len(data) != length or code > 64:
         raise ValueError(f"{len(data)} bytes of data; expected {code_text}")
     whole = not decimal or len(words) > length
-    return _Event(frame._replace(data=data, fd=fd, raw_dlc=raw_dlc), whole, remark)
+    return _Event(frame._replace(data=data, fd=fd, raw_dlc=raw_dlc), whole)
 
 
 def _fd(text: str, decimal: bool) -> _Event:
@@ -153,8 +150,7 @@ def _fd(text: str, decimal: bool) -> _Event:
         raise ValueError(f"{text[:40]!r} is no whole CANFD line")
     channel, way, digits, extended, _name, brs, esi, code_text, length_text, rest = match.groups()
     direction = _direction(way)
-    decimal_code, length = len(code_text) == 2, int(length_text)
-    code = int(code_text, 10 if decimal_code else 16)
+    length, code = int(length_text), int(code_text, 10 if len(code_text) == 2 else 16)
     words = (rest or "").split()
     _check_base(words, length, decimal)
     data = leading_bytes(words[:length], 10 if decimal else 16)
@@ -171,8 +167,7 @@ def _fd(text: str, decimal: bool) -> _Event:
     can_id, raw_dlc = _identifier(digits, decimal), code if remote or (not fd and code > 8) else 0
     kinds = bool(extended), remote, False, fd, brs == "1", esi == "1"
     frame = LogFrame(0, can_id, data, *kinds, str(int(channel)), direction, raw_dlc)
-    remark = "length codes of CANFD lines are decimal; they were read as such"
-    return _Event(frame, len(words) > length + 3, remark if decimal_code else "")
+    return _Event(frame, len(words) > length + 3)
 
 
 class AscReader(TextReader):
@@ -223,8 +218,6 @@ class AscReader(TextReader):
             raise
         if line.unterminated and not event.whole:
             raise ValueError("the last line has no end and may be cut short")
-        if event.remark:
-            self._report.note(event.remark)
         return event.frame._replace(time_ns=self._origin_ns + time_ns)
 
     def _header(self, text: str, number: int) -> None:
