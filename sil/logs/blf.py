@@ -373,6 +373,7 @@ class BlfWriter(LogWriter):
     """Writes CAN, CAN FD and error objects with nanosecond times in zlib containers."""
 
     format = "blf"
+    patched = True
 
     def __init__(self, path: str) -> None:
         super().__init__(path)

@@ -2,7 +2,7 @@
 
 Forms: the log form (`(1.000000) can0 123#1122 R`), the screen form with absolute, dated, delta,
 zero-based or no times, extra message information, ASCII, binary or swapped data, colours; numbered
-lines and trailing remarks as J1939 printers write them.
+lines and trailing remarks as J1939 printers write them; TruckDevil's print.
 Source: can-utils' own printing (lib.c, candump.c).
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from itertools import accumulate, chain, pairwise
+from itertools import accumulate, chain, pairwise, repeat
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
@@ -28,15 +28,19 @@ _DIRECTIONS: Final = {"": "", "R": "Rx", "T": "Tx"}
 
 _COMPACT = re.compile(r"([!-~]{1,64})\s+([0-9A-Fa-f]{1,8})#(\S*)(?:\s+([RT]))?\s*(?:\s;.*)?\Z")
 _PLAIN: Final = re.compile(
-    r"^(?:\(([0-8]?\d{1,9}+)\.(\d{6}|\d{9})\) ([!-~]{1,64}+) ([01][0-9A-Fa-f]{7}|[0-7][0-9A-Fa-f]{2})"
-    r"#(?=[0-9A-Fa-f]*+(?: ([RT]))?+\r?+$)()((?:[0-9A-Fa-f]{2}){0,8}+)(?: [RT])?+\r?+|([^\n]*))$",
+    r"^\((\d{1,10}+)\.(\d++)\) ([!-~]{1,64}+) ([01][0-9A-Fa-f]{7}|[0-7][0-9A-Fa-f]{2})"
+    r"#([0-9A-Fa-f]{0,16}+)(?: ([RT]))?+\r?+$",
     re.MULTILINE | re.ASCII,
 )
-"""A classic data frame as `candump -l` writes it by its parts; any other line in one piece."""
+"""A classic data frame as `candump -l` writes it, which most lines are."""
 
 _SCREEN = re.compile(
     r"([!-~]{1,64})\s+(?:(RX|TX) ([BS-]) ([ER-])\s+)?([0-9A-F]{3}|[0-9A-F]{8})\s+"
     r"(?:\[(\d{1,2})\]|\{([0-9A-F])\})(.*)\Z"
+)
+_TRUCKDEVIL = re.compile(
+    r"([0-9A-F]{8})\s+([0-9A-F]{2}) ([0-9A-F]{4}) ([0-9A-F]{2}) --> ([0-9A-F]{2}) "
+    r"\[(\d{4})\] ([0-9A-F]*)\Z"
 )
 _TIME = re.compile(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+")
 _DATA = re.compile(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
@@ -65,7 +69,7 @@ def parse_line(text: str) -> Parsed:
     timed = _TIME.match(line)
     time_ns = _time(timed[1]) if timed else 0
     line = line[timed.end() :] if timed else line
-    for pattern, parse in ((_COMPACT, _compact), (_SCREEN, _screen)):
+    for pattern, parse in ((_COMPACT, _compact), (_SCREEN, _screen), (_TRUCKDEVIL, _truckdevil)):
         if match := pattern.match(line):
             frame, has_length = parse(match)
             return Parsed(frame._replace(time_ns=time_ns), timed is not None, has_length)
@@ -153,6 +157,18 @@ def _screen(match: re.Match[str]) -> tuple[LogFrame, bool]:
     return LogFrame(0, can_id, payload, *flags, channel, direction, raw_dlc), True
 
 
+def _truckdevil(match: re.Match[str]) -> tuple[LogFrame, bool]:
+    digits, priority, _group, source, _destination, length, data = match.groups()
+    can_id = int(digits, 16)
+    if len(data) != 2 * int(length):
+        raise ValueError(f"{len(data)} hex digits; expected [{length}] bytes")
+    if int(length) > 8:
+        raise NotAFrame("reassembled J1939 message")
+    if (can_id >> 26 & 7, can_id & 0xFF) != (int(priority, 16), int(source, 16)):
+        raise ValueError("priority and source do not match the identifier")
+    return LogFrame(0, can_id, bytes.fromhex(data)), True
+
+
 def surely_whole(parsed: Parsed, earlier: Sequence[LogFrame]) -> bool:
     """Return whether a last line without a line end, which may be cut within its data, is surely whole.
 
@@ -171,6 +187,39 @@ def surely_whole(parsed: Parsed, earlier: Sequence[LogFrame]) -> bool:
         and len(before.data) == len(frame.data)
         and (before.remote, before.raw_dlc) == (frame.remote, frame.raw_dlc)
     )
+
+
+def plain_frames(text: str, count: int) -> list[LogFrame] | None:
+    """Return the frames of `count` lines of text, None when one of them is not a common line."""
+    rows = _PLAIN.findall(text)
+    if len(rows) != count:
+        return None
+    seconds, fractions, channels, digits, data, letters = zip(*rows, strict=True)
+    units = {6: 1000, 9: 1}.get(len(fractions[0]))
+    if units is None or len(set(map(len, fractions))) > 1:
+        return None
+    times_ns = [int(a + b) * units for a, b in zip(seconds, fractions, strict=True)]
+    try:
+        payloads = list(map(bytes.fromhex, data))
+    except ValueError:
+        return None
+    if max(times_ns) > MAX_TIME_NS:
+        return None
+    ids = {word: int(word, 16) for word in set(digits)}
+    extended = {word: len(word) == 8 for word in ids}
+    no = repeat(False)
+    columns = zip(
+        times_ns,
+        map(ids.__getitem__, digits),
+        payloads,
+        map(extended.__getitem__, digits),
+        *(no, no, no, no, no),
+        channels,
+        map(_DIRECTIONS.__getitem__, letters),
+        repeat(0),
+        strict=False,
+    )
+    return list(map(tuple.__new__, repeat(LogFrame), columns))
 
 
 class CandumpReader(TextReader):
@@ -193,7 +242,12 @@ class CandumpReader(TextReader):
             yield from map(self._with_times, chain((start,), batches))
 
     def _quick(self, chunk: Chunk) -> Batch | None:
-        return self._by_pattern(chunk, _PLAIN, 0, NS_PER_S) if self._timed else None
+        count = chunk.text.count("\n")
+        frames = None if self._timed is False else plain_frames(chunk.text, count)
+        if frames is None:
+            return None
+        self._timed = True
+        return Batch(frames, range(chunk.line, chunk.line + count), ordinary=True)
 
     def _line(self, line: Line) -> LogFrame:
         parsed = parse_line(line.text)

@@ -19,10 +19,14 @@ ZONE_NOTE: Final = "the start in the header names no time zone; it is taken as U
 
 
 class Batch(NamedTuple):
-    """Frames in the log's order and where each begins: line, byte or number of the frame."""
+    """Frames in the log's order and where each begins: line, byte or number of the frame.
+
+    ordinary: all are known to be classic data frames.
+    """
 
     frames: list[LogFrame]
     locations: Sequence[int]
+    ordinary: bool = False
 
 
 class Format(NamedTuple):
@@ -122,7 +126,7 @@ class TextReader(ABC):
         """Return the frames of a chunk in which most lines are classic data frames.
 
         The groups of the pattern are the time before and after the point, channel, identifier,
-        direction or its first letter, length if stated, data, and any other line as a whole.
+        direction, length, data, and any other line as a whole.
         """
         frames: list[LogFrame] = []
         locations: list[int] = []
@@ -133,7 +137,7 @@ class TextReader(ABC):
             whole, fraction, channel, digits, way, code, data, other = words
             identity = ids.get(digits)
             payload = bytes.fromhex(data)
-            if identity is None or (code and len(payload) != int(code)):
+            if identity is None or len(payload) != int(code):
                 if not whole and not other:
                     continue
                 lines = lines or list(chunk_lines(chunk))
@@ -144,7 +148,6 @@ class TextReader(ABC):
                     ids[digits] = frame.can_id, frame.extended
             else:
                 time_ns = origin_ns + int(whole + fraction) * scale[len(fraction)]
-                way = way and f"{way[0]}x"
                 frame = ordinary_frame(time_ns, identity[0], payload, identity[1], channel, way)
             frames.append(frame)
             locations.append(chunk.line + index)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from collections.abc import Sequence, Set
+from itertools import compress
+from operator import not_
 from typing import Final, NamedTuple
 
 from can_dbc.frame import MAX_ID
@@ -59,6 +62,25 @@ def ordinary_frame(
     """Return a classic data frame, faster than by `LogFrame(...)`."""
     fields = time_ns, can_id, data, extended, False, False, False, False, False
     return tuple.__new__(LogFrame, (*fields, channel, direction, 0))
+
+
+def all_ordinary(frames: Sequence[LogFrame], channels: Set[str]) -> bool:
+    """Return whether all are surely possible classic data frames of known channels; a quick look."""
+    times_ns, ids, data, extended, remote, error, fd, *_, names, ways, raw = zip(
+        *frames, strict=True
+    )
+    if any(remote) or any(error) or any(fd) or any(raw):
+        return False
+    if min(ids) < 0 or max(ids) > MAX_ID or max(map(len, data)) > 8:
+        return False
+    if not all(extended) and max(compress(ids, map(not_, extended))) > MAX_STANDARD_ID:
+        return False
+    return (
+        min(times_ns) >= 0
+        and max(times_ns) <= MAX_TIME_NS
+        and channels >= set(names)
+        and set(ways) <= _DIRECTIONS
+    )
 
 
 def frame_problem(frame: LogFrame) -> str | None:

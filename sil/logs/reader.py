@@ -91,9 +91,10 @@ class _Watch:
         if not frames:
             return
         report.frames += len(frames)
-        report.remote += sum(frame[4] for frame in frames)
-        report.error += sum(frame[5] for frame in frames)
-        report.fd += sum(frame[6] for frame in frames)
+        if not batch.ordinary:
+            report.remote += sum(frame[4] for frame in frames)
+            report.error += sum(frame[5] for frame in frames)
+            report.fd += sum(frame[6] for frame in frames)
         times_ns = [frame[0] for frame in frames]
         if report.first_ns is None:
             report.first_ns = times_ns[0]

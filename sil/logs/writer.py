@@ -13,7 +13,7 @@ from typing import BinaryIO, Self
 
 from can_dbc.errors import InputError
 from sil.files.atomic import NewFile
-from sil.logs.frame import LogFrame, frame_problem
+from sil.logs.frame import LogFrame, all_ordinary, frame_problem
 from sil.logs.source import refuse_special
 from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
 
@@ -30,6 +30,8 @@ class LogWriter(ABC):
     format: str = ""
     batch = 2048  # frames that are written at once
 
+    patched = False  # the beginning of the file is written last, so that packing has to wait for it
+
     def __init__(self, path: str) -> None:
         """Open a temporary file in the folder of `path`. Raises InputError if that is not possible."""
         self.path = path
@@ -39,6 +41,7 @@ class LogWriter(ABC):
         self.start_ns = 0
         self._held: list[LogFrame] = []
         self._begun = self._closed = False
+        self._known_channels: set[str] = set()
         refuse_special(path, "the name of a file")
         try:
             self._new = NewFile(Path(path))
@@ -47,9 +50,11 @@ class LogWriter(ABC):
             raise InputError(f"{path}: {error.strerror}; expected a folder to write in") from None
 
     def _opened(self) -> BinaryIO:
-        """Return the file to write in: the new one, or one to be packed when it is complete."""
+        """Return the file to write in: the new one, what packs into it, or one to be packed."""
         if not self.path.endswith(".gz"):
             return self._new.file
+        if not self.patched:
+            return packer(self._new.file)
         try:
             return tempfile.TemporaryFile(dir=Path(self.path).parent)
         except OSError:
@@ -72,9 +77,13 @@ class LogWriter(ABC):
         if not self._held:
             return
         frames = self._held
-        for number, frame in enumerate(frames, self._written + 1):
-            if problem := frame_problem(frame):
-                raise InputError(f"{self.path}: frame {number}: {problem}; expected a CAN frame")
+        if not all_ordinary(frames, self._known_channels):
+            for number, frame in enumerate(frames, self._written + 1):
+                if problem := frame_problem(frame):
+                    raise InputError(
+                        f"{self.path}: frame {number}: {problem}; expected a CAN frame"
+                    )
+                self._known_channels.add(frame.channel)
         self._held = []
         try:
             self._begin_with(frames)
@@ -126,9 +135,10 @@ class LogWriter(ABC):
             self._begin_with([])
             self._finish()
             if self._out is not self._new.file:
-                self._out.seek(0)
-                with packer(self._new.file) as packed:
-                    shutil.copyfileobj(self._out, packed, 1 << 20)
+                if self.patched:
+                    self._out.seek(0)
+                    with packer(self._new.file) as packed:
+                        shutil.copyfileobj(self._out, packed, 1 << 20)
                 self._out.close()
             self._new.keep()
         except BaseException as error:

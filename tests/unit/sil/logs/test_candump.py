@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.candump import CandumpReader, look_like_deltas, parse_line, recognise
+from sil.logs.candump import look_like_deltas, parse_line, plain_frames, recognise
 from sil.logs.format import NotAFrame
 from sil.logs.frame import frame_problem
-from sil.logs.report import LogReport
-from sil.logs.source import ByteSource, Chunk
 from tests.support.golden_logs import log_of, write
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
@@ -140,6 +138,13 @@ FORMS: dict[str, tuple[str, list[LogFrame]]] = {
             frame(0, 0x1CEBFF00, "015014BB7A44B620", extended=True, time_ns=14_946_782_379),
         ],
     ),
+    "truckdevil.txt": (
+        "relative",
+        [
+            frame(1232, 0x18F0090B, "FFFFFFFFFFFFFFFF", extended=True, channel=""),
+            frame(2661, 0x0CF00203, "CC0000FFF00000FF", extended=True, channel=""),
+        ],
+    ),
 }
 
 
@@ -156,6 +161,9 @@ def test_words_that_are_no_frames_are_named() -> None:
     reader = open_log(DATA / "screen_absolute.txt")
     list(reader)
     assert reader.report.other == {"error frame explanation line": 1}
+    reader = open_log(DATA / "truckdevil.txt")
+    list(reader)
+    assert reader.report.other == {"reassembled J1939 message": 1}
 
 
 BROKEN = [
@@ -187,6 +195,8 @@ BROKEN = [
     " (1.0)  can0  123   [2]  11 00100010",
     " (1.0)  can0  123   [2]  11 2",
     " (1.0)  can0  123  [09]  11 22 33 44 55 66 77 88 99",
+    "(0.1) 18F0090B    06 F009 0B --> FF [0008] FFFFFFFFFFFFFF",
+    "(0.1) 18F0090B    03 F009 0B --> FF [0001] FF",
     "(1.0)",
     "can0",
     "\x00" * 20,
@@ -297,25 +307,50 @@ lines_of_logs = st.builds(
     st.from_regex(r"\A([0-9A-Fa-f]{2}){0,9}\Z"),
     st.sampled_from(("", " R", " T", " R", " X")),
 )
-SOURCE = ByteSource(str(DATA / "numbered.log"), LogReport("a", "candump"))
-SOURCE.close()
 accidents = st.tuples(st.integers(0, 60), st.sampled_from("()# .\t0R\x00\xa0é"))
 
 
 @settings(deadline=None)
 @given(st.lists(lines_of_logs, min_size=1, max_size=4), st.lists(accidents, max_size=2))
-def test_lines_by_the_pattern_are_what_each_is_by_itself(
+def test_column_reading_agrees_with_line_reading(
     lines: list[str], damage: list[tuple[int, str]]
 ) -> None:
+    """What is taken apart by columns is what each line is by itself."""
     for index, character in damage:
-        lines[0] = lines[0][:index] + character + lines[0][index + 1 :]
-    chunk = Chunk("".join(f"{line}\n" for line in [*lines, *lines]), 1, 0, False)
-    reports = [LogReport("a", "candump"), LogReport("a", "candump")]
-    quick, slow = (CandumpReader(SOURCE, report, "recorded") for report in reports)
-    quick._timed = slow._timed = True
-    batch = quick._quick(chunk)
-    assert batch is not None and batch == slow._each_line(chunk)
-    assert reports[0] == reports[1]
+        line = lines[0]
+        if index < len(line):
+            lines[0] = line[:index] + character + line[index + 1 :]
+    quick = plain_frames("".join(f"{line}\n" for line in lines), len(lines))
+    if quick is not None:
+        assert quick == [parse_line(line).frame for line in lines]
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2**62), st.integers(0, 2**29 - 1), st.binary(max_size=8)),
+        min_size=1,
+        max_size=6,
+    ),
+    st.sampled_from(("", " R", " T")),
+    st.booleans(),
+)
+def test_common_lines_are_read_by_columns(
+    rows: list[tuple[int, int, bytes]], way: str, nanoseconds: bool
+) -> None:
+    """No needless fall back to the slow way."""
+    text = ""
+    for time_ns, can_id, data in rows:
+        fraction = f"{time_ns % 10**9:09d}" if nanoseconds else f"{time_ns % 10**9 // 1000:06d}"
+        text += (
+            f"({time_ns // 10**9:010d}.{fraction}) can0 {can_id:08X}#{data.hex().upper()}{way}\n"
+        )
+    frames = plain_frames(text, len(rows))
+    assert frames is not None
+    assert [(f.can_id, f.data) for f in frames] == [row[1:] for row in rows]
+    step = 1 if nanoseconds else 1000
+    assert [f.time_ns for f in frames] == [row[0] // step * step for row in rows]
+    assert plain_frames(text.replace("\n", "\r\n"), len(rows)) == frames
 
 
 def test_decimals_as_the_log_needs(tmp_path: Path) -> None:
