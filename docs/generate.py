@@ -1,6 +1,6 @@
 """Generate reference pages and diagrams from the code; a test checks that they are up to date.
 
-`python -m docs.generate` writes them: commands, CAN contract, opc4.h, the diagram of the layers.
+`python -m docs.generate` writes them: commands, CAN contract, the diagram of the layers.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
-
-from docs.c_header import header
 
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parent
@@ -35,8 +33,7 @@ def generated() -> dict[str, str]:
         name: "\n".join([f"# {title}", "", *lines]).rstrip() + "\n"
         for name, (title, lines) in made.items()
     }
-    drawn = {"images/layers.svg": layers_svg(), "images/states.svg": states_svg()}
-    return {**pages, **drawn, "../sil/firmware/opc4.h": header()}
+    return {**pages, "images/layers.svg": layers_svg(), "images/states.svg": states_svg()}
 
 
 def layers() -> dict[str, list[list[str]]]:

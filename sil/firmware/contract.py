@@ -6,10 +6,11 @@ import struct
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
+from zlib import crc32
 
+from can_dbc import c_header
 from can_dbc.codec import spec_of
 from can_dbc.frame import MAX_ID, Frame
-from can_dbc.messages import SIGNALS
 from controller import c_settings
 from controller.config import FirmwareConfig
 
@@ -35,8 +36,11 @@ class Step(NamedTuple):
 
 @cache
 def header() -> str:
-    """Return opc4.h, which `python -m docs.generate` makes of the messages and the settings."""
-    return Path(__file__).with_name("opc4.h").read_text(encoding="ascii")
+    """Return opc4.h."""
+    text = Path(__file__).with_name("opc4_base.h").read_text(encoding="ascii")
+    text = text.replace("@SETTINGS@\n", c_settings.declaration())
+    text = text.replace("@MESSAGES@\n", c_header.header())
+    return text.replace("@CONTRACT@", str(crc32(text.encode())))
 
 
 @cache
@@ -54,7 +58,8 @@ def settings_size() -> int:
 @cache
 def received() -> frozenset[int]:
     """Return the identifiers of the frames that a firmware is given."""
-    return frozenset(spec.can_id for spec in map(spec_of, SIGNALS) if "Opc4" in spec.receivers)
+    kinds = c_header.messages()
+    return frozenset(spec_of(k).can_id for k in kinds if c_header.NODE in spec_of(k).receivers)
 
 
 def pack_step(step: Step) -> bytes:

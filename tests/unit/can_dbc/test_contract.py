@@ -14,11 +14,9 @@ from hypothesis import strategies as st
 
 from can_dbc import codec, dbc, e2e
 from can_dbc import messages as m
+from can_dbc.c_header import header
 from can_dbc.contract import DBC_PATH, contract
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, J1939Id, checksum, join_id, split_id
-from tests.conftest import ROOT
-
-HEADER = (ROOT / "sil/firmware/opc4.h").read_text(encoding="ascii")
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +170,9 @@ def test_lockstep_frames_stay_off_the_simulated_bus() -> None:
 
 
 def test_every_message_of_the_control_unit_has_the_identifier_of_the_dbc() -> None:
-    defined = {n: int(i, 16) for n, i in re.findall(r"#define OPC4_(\w+)_ID 0x(\w{8})u\n", HEADER)}
+    defined = {
+        n: int(i, 16) for n, i in re.findall(r"#define OPC4_(\w+)_ID 0x(\w{8})u\n", header())
+    }
     wanted = {
         re.sub(r"(?<!^)(?=[A-Z])", "_", message.name).upper(): message.frame_id
         for message in cantools.database.load_file(DBC_PATH).messages
@@ -184,7 +184,7 @@ def test_every_message_of_the_control_unit_has_the_identifier_of_the_dbc() -> No
 
 def test_protected_messages_have_sixteen_data_ids() -> None:
     tables = re.findall(
-        r"static const uint8_t opc4_(\w+)_data_ids\[16\] = \{ ([\d, ]+) \};", HEADER
+        r"static const uint8_t opc4_(\w+)_data_ids\[16\] = \{ ([\d, ]+) \};", header()
     )
     assert {"shift_request", "valve_command"} <= {name for name, _ in tables}
     assert all(len(ids.split(", ")) == 16 for _, ids in tables)

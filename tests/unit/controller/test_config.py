@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from can_dbc.typed_toml import convert
-from controller.c_settings import content
+from controller.c_settings import content, declaration
 from controller.config import FirmwareConfig, load_config
 from controller.filters import butterworth
 from controller.light_model import ModelSettings, ObserverSettings
@@ -287,8 +287,7 @@ def members() -> list[str]:
     """The names of all members, with the structs that they are in."""
     inside: list[str] = []
     names: list[str] = []
-    text = (ROOT / "sil/firmware/opc4.h").read_text(encoding="ascii")
-    for line in text.partition("struct opc4_settings {\n")[2].partition("\n};")[0].splitlines():
+    for line in declaration().partition("struct opc4_settings {\n")[2].splitlines():
         if line.endswith("struct {"):
             inside.append("")
         elif end := re.match(r" +\} (\w+);", line):

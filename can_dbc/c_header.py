@@ -1,4 +1,4 @@
-"""opc4.h: the settings of a firmware in C, and for each message its struct, pack and unpack.
+"""The contract in C: enums, and for each message of the control unit its struct, pack and unpack.
 
 The arithmetic is that of `can_dbc.codec`, operation by operation: without contracted products (-ffp-contract=off)
 equal bits.
@@ -9,17 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from enum import IntEnum, IntFlag
-from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
-from zlib import crc32
 
 from can_dbc.codec import SI_FACTORS, conversion_of, missing_from, spec_of
 from can_dbc.contract import SignalSpec
 from can_dbc.frame import split_id
 from can_dbc.messages import SIGNALS, Chamber, Fault, Gear, OverrideMode, ShiftState
-from controller import strategies
-from controller.c_settings import members
-from controller.config import FirmwareConfig
 
 NODE = "Opc4"
 
@@ -63,52 +58,19 @@ def unit_of(name: str) -> str:
     return next((unit for end, unit in units.items() if name.endswith(f"_{end}")), "")
 
 
+def messages() -> list[type]:
+    """Return the messages that the control unit sends or receives, in the order of the contract."""
+    return [kind for kind in SIGNALS if {NODE} & {*spec_of(kind).senders, *spec_of(kind).receivers}]
+
+
 def header() -> str:
-    """Return opc4.h, with the number of the contract that a module made with it carries."""
-    text = Path(__file__).with_name("opc4_base.h").read_text(encoding="ascii")
-    text = text.replace("@SETTINGS@\n", settings()).replace("@MESSAGES@\n", messages())
-    return text.replace("@CONTRACT@", str(crc32(text.encode())))
-
-
-def settings() -> str:
-    """Return the struct of the settings, its enums before it."""
-    names = [name.upper() for name in strategies.NAMES]
-    lines = [
-        f"enum opc4_strategy {{ {_choices('OPC4_STRATEGY', names)} }};",
-        f"enum opc4_cut {{ {_choices('OPC4_CUT', ['NONE', 'SYNC', 'CONFIRMATION'])} }};",
-        "",
-        "/* Times are in seconds: opc4_ns rounds them as the firmware in Python does. */",
-        "struct opc4_settings {",
-    ]
-    inside: list[str] = []
-    for member in members(FirmwareConfig()):
-        indent = "    " * (len(inside) + 1)
-        if member.value is None and member.name:
-            lines.append(f"{indent}struct {{")
-            inside.append(member.name)
-        elif member.value is None:
-            lines.append(f"{indent[4:]}}} {inside.pop()};")
-        else:
-            kind = "int64_t" if isinstance(member.value, int) else "double"
-            unit = f" /* {member.unit} */" if member.unit else ""
-            lines.append(f"{indent}{kind} {member.name};{unit}")
-    return "\n".join([*lines, "};"]) + "\n"
-
-
-def _choices(prefix: str, names: list[str]) -> str:
-    return ", ".join(f"{prefix}_{name} = {k}" for k, name in enumerate(names))
-
-
-def messages() -> str:
-    """Return what follows from opc4.dbc and the messages."""
+    """Return the part of opc4.h that follows from opc4.dbc and the messages."""
     parts = [_enum(kind) for kind in (Gear, Chamber, ShiftState, Fault, OverrideMode)]
-    for kind in SIGNALS:
-        spec = spec_of(kind)
-        if NODE in {*spec.senders, *spec.receivers}:
-            parts.append(_struct(kind))
-        if NODE in spec.receivers:
+    for kind in messages():
+        parts.append(_struct(kind))
+        if NODE in spec_of(kind).receivers:
             parts.append("\n".join(_unpack(kind)))
-        if NODE in spec.senders:
+        if NODE in spec_of(kind).senders:
             parts.append("\n".join(_pack(kind)))
             parts.append(_send(kind))
     return "\n\n".join(parts) + "\n"
