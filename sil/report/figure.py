@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from typing import Any, Literal
@@ -90,6 +90,36 @@ class Note:
 
 
 @dataclass(frozen=True)
+class ColourScale:
+    """Colours for values from low to high, with the text that names them."""
+
+    label: str
+    low: float
+    high: float
+    colours: Sequence[str] = (  # Viridis
+        *("#440154", "#472d7b", "#3b528b", "#2c728e"),
+        *("#21918c", "#28ae80", "#5ec962", "#fde725"),
+    )
+
+    def colour(self, value: float) -> str:
+        """Return the colour of a value as "#rrggbb"; values outside have the colour of the end."""
+        share = (value - self.low) / (self.high - self.low) if self.high > self.low else 0.5
+        at = min(max(share, 0.0), 1.0) * (len(self.colours) - 1)
+        k = min(int(at), len(self.colours) - 2)
+        ends = [[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in self.colours[k : k + 2]]
+        mixed = [round(a + (at - k) * (b - a)) for a, b in zip(*ends, strict=True)]
+        return "#{:02x}{:02x}{:02x}".format(*mixed)
+
+    def cells(self, values: Floats, text: Callable[[float], str] = lambda value: "") -> list[Span]:
+        """Return one rectangle for each finite value [rows, columns], centred at (column, row)."""
+        return [
+            Span(j - 0.5, j + 0.5, self.colour(v), text(v), i - 0.5, i + 0.5)
+            for (i, j), v in np.ndenumerate(values)
+            if isfinite(v)
+        ]
+
+
+@dataclass(frozen=True)
 class Panel:
     """What shares one vertical axis.
 
@@ -110,6 +140,7 @@ class Panel:
     limits: tuple[float, float] | None = None
     legend: bool = True
     keys: Sequence[tuple[str, str]] = ()
+    scale: ColourScale | None = None
     page_only: bool = False
 
     def heights(self, view: tuple[float, float] = (-inf, inf)) -> Iterator[float]:

@@ -13,7 +13,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from sil.files.atomic import write_atomically
-from sil.report.figure import Figure, Note, Panel, Rule, Span, Stack
+from sil.report.figure import ColourScale, Figure, Note, Panel, Rule, Span, Stack
 from sil.report.theme import colour_of
 
 if TYPE_CHECKING:
@@ -123,6 +123,8 @@ def draw(figure: Figure) -> Drawing:
                 axes.tick_params(labelleft=False)
             elif column.is_first:
                 _name(axes, panel)
+            if panel.scale is not None and number == len(columns) - 1:
+                _colour_bar(drawing, axes, panel.scale)
             if row == 0 and column.stack.title and column.is_first:
                 look: dict[str, Any] = {"fontsize": 10, "loc": "left", "color": colour_of("ink")}
                 axes.set_title(column.stack.title, pad=6 + 14 * legend_rows, **look)
@@ -345,6 +347,15 @@ def _name(axes: Axes, panel: Panel) -> None:
         return
     text = f"{panel.title}, {panel.unit}" if panel.unit else panel.title
     axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=colour_of("ink"), fontsize=9)
+
+
+def _colour_bar(drawing: Drawing, axes: Axes, scale: ColourScale) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    colours = LinearSegmentedColormap.from_list("scale", list(scale.colours))
+    mappable = ScalarMappable(Normalize(scale.low, scale.high), colours)
+    drawing.colorbar(mappable, ax=axes, label=scale.label)
 
 
 def _overview(axes: Axes, panel: Panel, columns: Sequence[_Column]) -> None:

@@ -199,14 +199,19 @@
     };
   }
 
-  // Colours that no line has: squares with their names.
+  // Colours that no line has: squares with their names, or a strip from low to high.
   function keys(panel, colours) {
     const made = document.createElement("p");
     made.className = "keys";
-    panel.keys.forEach(([name, role]) => {
+    const entries = panel.keys.map(([name, role]) => [name, colours(role)]);
+    if (panel.scale) {
+      const [label, low, high, strip] = panel.scale;
+      entries.push([`${label}: ${low.toPrecision(3)} to ${high.toPrecision(3)}`, `linear-gradient(to right, ${strip})`]);
+    }
+    entries.forEach(([name, background]) => {
       const item = document.createElement("span");
       const square = document.createElement("i");
-      square.style.background = colours(role);
+      square.style.background = background;
       item.append(square, name);
       made.appendChild(item);
     });
@@ -368,7 +373,7 @@
         title.textContent = panel.title;
         box.appendChild(title);
         const values = [content.x].concat(panel.series.map((series) => series.y));
-        if (panel.keys.length) box.appendChild(keys(panel, colours));
+        if (panel.keys.length || panel.scale) box.appendChild(keys(panel, colours));
         const chart = new uPlot(options(panel, colours, i === content.panels.length - 1, high[i]), values, box);
         chart.root.querySelectorAll(".u-legend .u-series").forEach((row, k) => {
           if (k && !panel.series[k - 1].label) row.style.display = "none";

@@ -64,7 +64,7 @@ def content(stack: Stack) -> dict[str, Any]:
 
 
 def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
-    look = attrgetter("role", "label", "style")
+    scale, look = panel.scale, attrgetter("role", "label", "style")
     return {
         "title": panel.title,
         "unit": panel.unit,
@@ -73,6 +73,7 @@ def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
         "limits": panel.limits,
         "include": rounded(panel.fixed_heights()),
         "keys": [list(key) for key in panel.keys],
+        "scale": scale and [scale.label, scale.low, scale.high, list(scale.colours)],
         "series": [
             {k: v for k, v in vars(s).items() if k != "x"} | {"y": rounded(on_axis(s, x))}
             for s in panel.series

@@ -9,7 +9,7 @@ import numpy as np
 
 from plant.parameters import load
 from sil.files import quantity
-from sil.report.figure import Band, Figure, Note, Panel, Series, Span, Stack
+from sil.report.figure import Band, ColourScale, Figure, Note, Panel, Series, Span, Stack
 from sil.report.theme import SERIES
 from sil.studies.design import SweptValue
 from sil.studies.study import Study, Table
@@ -77,11 +77,13 @@ def row_labels(study: Study, table: Table) -> list[str]:
 
 
 def swept_figures(study: Study, table: Table, with_choices: bool = True) -> dict[str, Figure]:
-    """Return the figures of a study of shifts or strokes by name: front, lines or choices."""
+    """Return the figures of a study of shifts or strokes by name: map, lines or choices."""
     design, metrics = study.file.design.kind, read_metrics(study)
     numeric = [sweep for sweep in study.file.sweep if sweep.path in table.numbers]
     has_values = np.isfinite(table.numbers[metrics[0]]).any()
     figures = {}
+    if design == "grid" and len(numeric) == len(study.file.sweep) == 2 and has_values:
+        figures["map"] = _map_figure(study, table)
     if design in ("lhs", "sobol") and len(metrics) > 1:
         figures["pareto"] = pareto_figure(study, table)
     stacks = [stack for sweep in numeric if (stack := _lines_over(study, table, sweep)) is not None]
@@ -220,3 +222,27 @@ def choices_figure(study: Study, table: Table) -> Figure:
     kind, width = kinds.get(widest, ""), max(6.0, 0.8 * len(ticks))
     title = f"By {kind}" if kind else ""
     return Figure([Stack(kind, panels, title, ticks=numbered(ticks), width=width)], title_of(study))
+
+
+def _map_figure(study: Study, table: Table) -> Figure:
+    """Return the greatest value of the first metric over a grid, a map for each group of rows."""
+    metric = metric_of(read_metrics(study)[0])
+    values = metric.factor * table.numbers[read_metrics(study)[0]]
+    scale = ColourScale(metric.axis, float(np.nanmin(values)), float(np.nanmax(values)))
+    places, axes, ticks = [], [], []
+    for sweep in study.file.sweep:
+        levels, place = np.unique(table.numbers[sweep.path], return_inverse=True)
+        across, stride = sweep_metric(sweep), -(-len(levels) // 10)
+        places.append(place)
+        axes.append(across.axis)
+        texts = [f"{value:g}" for value in np.unique(across.factor * levels)]
+        ticks.append([(float(k), text) for k, text in enumerate(texts) if k % stride == 0])
+    stacks = []
+    for name, rows in study.row_groups(table).items():
+        grid = np.full((places[1].max() + 1, places[0].max() + 1), np.nan)
+        np.fmax.at(grid, (places[1][rows], places[0][rows]), values[rows])
+        spans = scale.cells(grid, ("{:.2f}" if grid.size <= 100 else "").format)
+        limits = (-0.5, grid.shape[0] - 0.5)
+        panel = Panel(axes[1], spans=spans, scale=scale, ticks=ticks[1], limits=limits, height=260)
+        stacks.append(Stack(axes[0], [panel], name, ticks=ticks[0], width=3.6))
+    return Figure(stacks, title_of(study), same_scale=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, nan
 
 import numpy as np
 
 from sil.report.figure import (
     Band,
+    ColourScale,
     Figure,
     Note,
     Panel,
@@ -22,6 +23,7 @@ from sil.report.figure import (
 def everything() -> Figure:
     """A figure with every kind of content."""
     x = np.array([0.0, 1.0, 2.0])
+    scale = ColourScale("speed, m/s", 0.0, 1.0)
     lines = [
         Series(style, x, x + k, f"series{k}", style, dashed=k == 1)  # type: ignore[arg-type]
         for k, style in enumerate(("line", "stepped", "sampled", "dots", "marked"))
@@ -37,8 +39,8 @@ def everything() -> Figure:
         notes=[Note(1.0, 0.5, "a note", up=4.0)],
         keys=[("driver", "B")],
     )  # fmt: skip
-    cells = Panel("Map", spans=[Span(-0.5, 0.5, "#440154", "0.0", -0.5, 0.5)],
-                  ticks=[(0.0, "low"), (1.0, "high")])  # fmt: skip
+    cells = Panel("Map", spans=scale.cells(np.array([[0.0, nan], [0.5, 1.0]]), "{:.1f}".format),
+                  ticks=[(0.0, "low"), (1.0, "high")], scale=scale)  # fmt: skip
     only = Panel("Page only", "m", lines[:1], page_only=True)
     stacks = [
         Stack("time, s", [content, only], "left", [Zoom("start", 0.0, 1.0)]),

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from sil.report.figure import Figure, Note, Panel, Series, Stack, Zoom, spans_of
+from sil.report.figure import ColourScale, Figure, Note, Panel, Series, Stack, Zoom, spans_of
 from sil.report.picture import MOST_ZOOMS, draw, save
 from sil.report.theme import SERIES, THEMES
 from tests.support.figures import everything
@@ -124,6 +124,17 @@ def test_heights_are_those_in_the_view() -> None:
     assert list(panel.heights()) == [1.0, 5.0]
     assert list(panel.heights((0.5, 2.0))) == [1.0, 1.0]
     assert list(panel.heights((0.5, 1.5))) == []
+
+
+def test_a_scale_has_a_colour_for_each_value_and_a_cell_for_each_known_one() -> None:
+    scale = ColourScale("m/s", 0.0, 2.0, ("#000000", "#ff0000", "#ffffff"))
+    assert [scale.colour(v) for v in (-1.0, 0.0, 0.5, 1.0, 2.0, 9.0)] == [
+        "#000000", "#000000", "#800000", "#ff0000", "#ffffff", "#ffffff"
+    ]  # fmt: skip
+    cells = scale.cells(np.array([[0.0, nan], [1.0, 2.0]]), "{:g}".format)
+    assert [(c.start, c.low, c.label) for c in cells] == [
+        (-0.5, -0.5, "0"), (-0.5, 0.5, "1"), (0.5, 0.5, "2")
+    ]  # fmt: skip
 
 
 def test_spans_of_a_switch() -> None:

@@ -139,4 +139,5 @@ def test_all_content_is_in_the_page_with_a_group_per_stack() -> None:
     }
     assert counts == {"series": 5, "bands": 1, "spans": 4, "rules": 2, "notes": 1, "keys": 1}
     assert panel["spans"][1][:4] == [None, None, -3.0, 3.0]
+    assert right["panels"][0]["scale"][:3] == ["speed, m/s", 0.0, 1.0]
     assert right["ticks"] == [[0.0, "first"], [1.0, "second"]]

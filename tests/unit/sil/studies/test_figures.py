@@ -56,7 +56,7 @@ def test_each_swept_number_is_an_axis_and_each_choice_a_line(tmp_path: Path) -> 
     speeds[0] = np.nan
     table = made_table(rises, rates, ["soft", "hard"] * 6, speeds)
     figures = swept_figures(study(tmp_path), table)
-    assert set(figures) == {"lines"}
+    assert set(figures) == {"map", "lines"}
     over, rate = figures["lines"].stacks
     assert [over.title, rate.title] == ["Over valve.D_rise", "Over bus.bitrate"]
     assert over.axis == "valve.D_rise, ms" and over.logarithmic and not rate.logarithmic
@@ -70,6 +70,17 @@ def test_each_swept_number_is_an_axis_and_each_choice_a_line(tmp_path: Path) -> 
     assert speed.bands[1].high.tolist() == [3.0, 7.0, 11.0]
     assert speed.title == "impact speed, median"
     assert time.unit == "ms" and time.series[1].y.tolist() == [200.0, 600.0, 1000.0]
+
+
+def test_a_map_shows_the_greatest_value_of_each_cell(tmp_path: Path) -> None:
+    rises = np.repeat([0.001, 0.01, 0.1], 4)
+    rates = np.tile([250e3, 250e3, 500e3, 500e3], 3)
+    table = made_table(rises, rates, ["soft", "hard"] * 6, np.arange(12.0))
+    soft, hard = swept_figures(study(tmp_path), table)["map"].stacks
+    assert (soft.title, hard.title) == ("soft", "hard")
+    texts = {(span.start + 0.5, span.low + 0.5): span.label for span in hard.panels[0].spans}
+    assert texts[0.0, 0.0] == "1.00" and texts[2.0, 1.0] == "11.00" and len(texts) == 6
+    assert [name for _at, name in hard.ticks] == ["1", "10", "100"]
 
 
 def test_rows_of_a_design_are_points_and_not_all_of_a_large_one(tmp_path: Path) -> None:
