@@ -282,7 +282,12 @@ def test_a_control_unit_goes_on_from_a_saved_state_even_after_it_failed() -> Non
     assert turns[0] == turns[1]
 
 
-def test_a_file_is_compiled_again_when_it_or_what_it_includes_has_changed(tmp_path: Path) -> None:
+def test_a_file_is_compiled_again_when_it_or_what_it_includes_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[str] = []
+    real = compiler._call
+    monkeypatch.setattr(compiler, "_call", lambda *what: calls.append(real(*what)) or calls[-1])
     (tmp_path / "own.c").write_text('#include "part.h"\nint number(void) { return NUMBER; }\n')
     part, path = tmp_path / "part.h", tmp_path / "own.c"
     modules = []
@@ -290,7 +295,8 @@ def test_a_file_is_compiled_again_when_it_or_what_it_includes_has_changed(tmp_pa
         if not part.exists() or str(number) not in part.read_text():
             part.write_text(f"#define NUMBER {number}\n{DRAFT.read_text()}")
         modules.append(compiler.compiled(path))
-    assert modules[0] is modules[1] and modules[1] != modules[2]
+    assert modules[0] == modules[1] != modules[2]
+    assert len(calls) == 4  # compiler and linker, twice
 
 
 def own_scenario(folder: Path, firmware: str, more: str = "") -> Path:
