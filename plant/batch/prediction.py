@@ -124,14 +124,8 @@ class Predictor:
         self._sample_s = sample_ns / NS_PER_S
         self._run, self._control = np.zeros(Run.size), np.zeros(Control.size, dtype=np.int64)
         self._events = np.zeros((EVENT_ROOM, EventRow.size))
-        self._happened = 0
         self._ready: dict[tuple[object, ...], _Ready] = {}
         self._followers: Followers | None = None
-
-    @property
-    def happened(self) -> Floats:
-        """Events of the last call of `states` [events, EventRow.size], SI units."""
-        return self._events[: self._happened]
 
     def _prepared(self, setup: Setup) -> _Ready:
         # the conditions by identity: they are slow to compare
@@ -157,7 +151,6 @@ class Predictor:
             run, control, setup.p.array, setup.c, ready.moves, self._sample_s, out, self._events,
             filling_curves(setup.c), NO_GRID,
         )  # fmt: skip
-        self._happened = int(control[Control.events])
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
         if not setup.exact_gauges:

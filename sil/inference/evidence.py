@@ -1,15 +1,17 @@
 """How large residuals are when nothing is wrong: the floor that a fit is compared with.
 
-Checked by: tests/unit/sil/inference/test_fit.py
+Checked by: tests/unit/sil/inference/test_fit.py, test_verdict.py
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtri
 
+from plant.errors import IntegrationError
 from sil.inference.fit import FitResult
 from sil.inference.problem import ChannelPart, Problem
 from sil.inference.thresholds import LIMITS
@@ -23,6 +25,11 @@ class ChannelMisfit:
     count: int
     band: float
     floor: float = 1.0
+
+    @property
+    def excess(self) -> float:
+        """Sum of the squared standardised residuals beyond the floor, at least 0."""
+        return max(0.0, (self.rms**2 - 1.0) * self.floor * self.count)
 
     @property
     def beyond(self) -> float:
@@ -99,3 +106,24 @@ def strained(fit: FitResult) -> bool:
         np.any(scatter > chdtri(len(fit.use), LIMITS.min_strain_probability))
         or unit > chdtri(fit.layout.healthy, LIMITS.min_strain_probability)
     )
+
+
+def inexact_squares(problem: Problem, fit: FitResult) -> dict[str, float]:
+    """Return by channel the squared residuals that errors of its causes' forms may leave (95 %), where a form is a guess.
+
+    Of each cause the share, squared, of all that it changes in the predictions; 0 if that cannot be simulated.
+    """
+    squares: dict[str, float] = {}
+    for index, item in enumerate(fit.candidates):
+        if item.effect.form_error == 0.0:
+            continue
+        without = list(fit.values)
+        without[index] = {p.name: p.neutral for p in item.parameters}
+        with suppress(IntegrationError):
+            for k in fit.blocks:
+                spot = k, fit.shared, fit.stroke[k], fit.candidates
+                change = problem.changed(*spot, fit.values) - problem.changed(*spot, without)
+                for part in problem.parts(k, 1.96 * item.effect.form_error * change):
+                    square = float(part.residual @ part.residual)
+                    squares[part.name] = squares.get(part.name, 0.0) + square
+    return squares

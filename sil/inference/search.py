@@ -17,7 +17,7 @@ import numpy as np
 from plant.effects.effect import Starts
 from plant.errors import IntegrationError
 from sil.inference.candidate import Candidate, compatible, scaled_of
-from sil.inference.evidence import misfit, strained
+from sil.inference.evidence import inexact_squares, misfit, strained
 from sil.inference.fit import FitResult, Fitter, Show, no_progress
 from sil.inference.problem import Block, Floats, Problem
 from sil.inference.screening import Score, screen
@@ -163,8 +163,21 @@ class Search:
     def vary_best(self) -> None:
         """Try the best fit's causes in other variants, if it leaves something."""
         best = self.fits.ordered()[:1]
-        if best and misfit(self.model, best[0]).beyond > 0.0:
+        if best and self.leaves_something(best[0]):
             self.try_variants(best[0])
+
+    def is_within_form(self, fit: FitResult) -> bool:
+        """Return whether what a fit leaves, and strains tolerances by, may be the error of a form that is a guess."""
+        form, channels = inexact_squares(self.model, fit), misfit(self.model, fit).channels
+        strain = float(np.sum(fit.shared[: fit.layout.healthy] ** 2))
+        return strain < sum(form.values()) and all(
+            item.beyond == 0.0 or item.excess <= form.get(name, 0.0)
+            for name, item in channels.items()
+        )
+
+    def leaves_something(self, fit: FitResult) -> bool:
+        """Return whether a fit leaves more than noise and the error of its form."""
+        return misfit(self.model, fit).beyond > 0.0 and not self.is_within_form(fit)
 
     def judge(self) -> None:
         """Judge the healthy fit and the best ones by the held-out blocks, and decide."""
@@ -185,7 +198,7 @@ class Search:
         tried = []
         if verdict.claimed:
             tried.append(self.try_alike(leader.training, min(verdict.gains.values())))
-            if leader.whole.beyond > 0.0:  # the held-out blocks may show it alone
+            if self.leaves_something(leader.both):  # the held-out blocks may show it alone
                 tried.append(self.try_variants(leader.training))
         tried.append(self.try_terms())
         if any(tried):
@@ -341,14 +354,18 @@ class Search:
             likely = [s for s in scores if s.gain > BUDGET.min_linear_gain][: BUDGET.children]
             tasks += [_pair_task(parent, score) for score in likely]
         unique: dict[frozenset[str], Task] = {}
+        # beside a cause that leaves no more than the error of its form, no other one can gain enough
+        settled = {fit.name for fit in parents if self.is_within_form(fit)}
         for task in tasks + self.crossed():
-            unique.setdefault(frozenset(item.name for item in task.candidates), task)
+            names = frozenset(item.name for item in task.candidates)
+            if not names & settled:
+                unique.setdefault(names, task)
         self.polish(_promising(self.run_tasks(list(unique.values())), BUDGET.pairs))
 
     def crossed(self) -> list[Task]:
         """Pairs of the best singles: while much is unexplained, linear scores mislead."""
         best = self.fits.of_size(1)
-        if not best or misfit(self.model, best[0]).beyond == 0.0:
+        if not best or not self.leaves_something(best[0]):
             return []
         singles = _one_of_each(self.first)
         least = [BUDGET.outstanding_ratio * fit.cost for fit in singles[:1]]
@@ -406,13 +423,14 @@ class Search:
     def try_terms(self) -> bool:
         """Fit terms without a form alone and with the best single; True if any was tried.
 
-        Only if the best hypothesis leaves more than the band of clean blocks and a detail, or owes
-        its agreement to scatter that healthy blocks do not have.
+        Only if the best hypothesis leaves more than the band of clean blocks and a detail, or owes its
+        agreement to scatter that healthy blocks do not have; not for the error of its form.
         """
         best = min(self.judged, key=lambda item: item.score)
         excess = max(1.0, self.verdict.healthy.whole.excess)
         detail = BUDGET.max_unexplained_share * excess + best.whole.detail
-        if best.whole.beyond <= detail and not strained(best.training):
+        is_small = best.whole.beyond <= detail and not strained(best.training)
+        if is_small or self.is_within_form(best.both):
             return False
         better = [fit for fit in self.fits.of_size(1)[:1] if fit.cost < 0.5 * self.healthy.cost]
         tasks = [

@@ -22,9 +22,8 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from plant.effects import CATALOGUE
 from sil.inference.candidate import Candidate
-from sil.inference.evidence import Misfit, misfit, strained
+from sil.inference.evidence import Misfit, inexact_squares, misfit, strained
 from sil.inference.fit import FitResult, Fitter
 from sil.inference.problem import Floats
 from sil.inference.thresholds import LIMITS, UNNAMED, Thresholds
@@ -59,6 +58,11 @@ class Explanation(Protocol):
         return ()
 
     @property
+    def inexact(self) -> Mapping[str, float]:
+        """Squares that errors of its causes' forms may leave, by channel, where a form is a guess."""
+        return {}
+
+    @property
     def is_explained(self) -> bool:
         """Whether noise explains what it leaves."""
         return self.whole.is_noise
@@ -77,7 +81,8 @@ class Judged:
     """A hypothesis judged by all strokes.
 
     training, held_out_fit: fits; both: the two in one; score: evidence/2 on the training plus cost on the
-    held-out strokes; misfit: over the held-out strokes, the training ones without any; whole: over all.
+    held-out strokes; misfit: over the held-out strokes, the training ones without any; whole: over all;
+    inexact: see `Explanation`.
     """
 
     training: FitResult
@@ -86,6 +91,7 @@ class Judged:
     score: float
     misfit: Misfit
     whole: Misfit
+    inexact: Mapping[str, float] = field(default_factory=dict)
     probability: float = 0.0
     shared_with_unnamed: float = LIMITS.pair_prior
 
@@ -159,7 +165,8 @@ def judge(
             stroke[list(held_out)] = held_out_fit.stroke[list(held_out)]
             both = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
         misfits = misfit(model, held_out_fit or fit), misfit(model, both)
-        judged.append(Judged(fit, held_out_fit, both, score, *misfits))
+        errors = inexact_squares(model, both)
+        judged.append(Judged(fit, held_out_fit, both, score, *misfits, errors))
     return sorted(judged, key=lambda item: item.score)
 
 
@@ -254,10 +261,15 @@ def acceptable(item: Judged) -> bool:
     )
 
 
+def _without(leader: E, judged: Sequence[E], name: str) -> E:
+    """Return the best hypothesis of a leader's other causes."""
+    rest = set(leader.ids) - {name}
+    return min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
+
+
 def _gains_of(leader: E, judged: Sequence[E], name: str) -> tuple[float, float]:
     """Return what leaving a cause out loses: score, and cost on the held-out strokes alone."""
-    rest = set(leader.ids) - {name}
-    without = min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
+    without = _without(leader, judged, name)
     gain = without.score - leader.score
     if leader.held_cost is None or without.held_cost is None:
         return gain, gain
@@ -334,12 +346,12 @@ def _is_accepted(item: E, healthy: E, judged: Sequence[E], blocks: int) -> bool:
     needed = LIMITS.needed_gain(blocks)
     if len(item.ids) > 1:
         needed = max(needed, 0.5 * LIMITS.min_share_of_rest * item.whole.beyond)
-    errors = {n: CATALOGUE[n].form_error for n in item.ids if n in CATALOGUE}
+    inexact = 0.5 * LIMITS.form_error**2 * healthy.whole.excess if len(item.ids) > 1 else 0.0
     for name in item.ids:
         gain, held_out_gain = _gains_of(item, judged, name)
-        others = [max(LIMITS.form_error, errors.get(n, 0.0)) for n in item.ids if n != name]
-        inexact = 0.5 * max(others, default=0.0) ** 2 * healthy.whole.excess
-        if gain < max(needed, inexact) or held_out_gain <= 0.0:
+        without = _without(item, judged, name)
+        form = sum(min(s, without.whole.channels[c].excess) for c, s in without.inexact.items())
+        if gain < max(needed, inexact) + 0.5 * form or held_out_gain <= 0.0:
             return False
         slight = 0.5 * LIMITS.min_slight_share * healthy.whole.excess
         if gain < slight and name in item.slight:

@@ -9,21 +9,33 @@ import pytest
 
 from plant.effects import CATALOGUE
 from plant.errors import IntegrationError
-from sil.inference.evidence import ChannelMisfit, Misfit
+from sil.inference.evidence import ChannelMisfit, Misfit, inexact_squares
 from sil.inference.fit import Fitter
+from sil.inference.problem import ChannelPart
 from sil.inference.thresholds import LIMITS
 from sil.inference.verdict import HeldOutFits, by_cause, decide, judge, slight_causes, weigh
 
 
 def entry(
-    score: float, held_chi2: float, *ids: str, beyond: float = 0.0, excess: float = 0.0
+    score: float,
+    held_chi2: float,
+    *ids: str,
+    beyond: float = 0.0,
+    excess: float = 0.0,
+    form: float = 0.0,
+    left: float = 0.0,
 ) -> SimpleNamespace:
     return SimpleNamespace(
+        inexact={"p": form},
         score=score,
         ids=ids,
         name="+".join(ids) or "healthy",
         whole=SimpleNamespace(
-            beyond=beyond, excess=excess, detail=200.0, rms=(1.0 + excess / 10000) ** 0.5
+            beyond=beyond,
+            excess=excess,
+            detail=200.0,
+            rms=(1.0 + excess / 10000) ** 0.5,
+            channels={"p": SimpleNamespace(excess=left)},
         ),
         is_explained=not ids and excess < 0.0,
         shared_with_unnamed=LIMITS.pair_prior,
@@ -149,23 +161,53 @@ def test_a_second_cause_must_explain_a_share_of_what_is_left() -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "gain", "claimed"),
+    ("gain", "form", "claimed"),
     [
-        ("gauge_line_lag", 45.0, False),
-        ("gauge_line_lag", 200.0, True),
-        ("piston_leak", 200.0, False),
+        (45.0, {}, False),
+        (200.0, {}, True),
+        (200.0, {"form": 1e3, "left": 500.0}, False),
+        (200.0, {"form": 1e3, "left": 100.0}, True),
+        (200.0, {"form": 100.0, "left": 500.0}, True),
     ],
 )
 def test_a_second_cause_that_corrects_the_form_of_a_far_larger_one_is_not_claimed(
-    first: str, gain: float, claimed: bool
+    gain: float, form: dict[str, float], claimed: bool
 ) -> None:
-    """A gauge's lag that gains 3.5 million leaves an error of its form that valve_creep removes; a leak's form is a guess."""
+    """A cause that gains 3.5 million leaves an error of its form that valve_creep removes; a leak's form is a guess."""
     found = verdict(
         entry(3.5e6, 1.7e6, excess=7e6),
-        entry(1000.0, 500.0, first),
-        entry(1000.0 - gain, 480.0, first, "valve_creep"),
+        entry(1000.0, 500.0, "piston_leak", **form),
+        entry(1000.0 - gain, 480.0, "piston_leak", "valve_creep"),
     )
-    assert found.claimed == (first, *(["valve_creep"] if claimed else []))
+    assert found.claimed == ("piston_leak", *(["valve_creep"] if claimed else []))
+
+
+def test_an_error_of_a_leaks_form_is_a_share_of_all_that_it_changes() -> None:
+    leak, friction = (
+        SimpleNamespace(id=name, parameters=CATALOGUE[name].parameters[:1], effect=CATALOGUE[name])
+        for name in ("piston_leak", "dynamic_friction")
+    )
+
+    def changed(k, _shared, _scatter, _candidates, values):
+        if k == 2:
+            raise IntegrationError("not there")
+        return np.full(4, 1e9 * values[0]["cda_m2"]) + values[1]["factor"]
+
+    def fit(*blocks: int) -> SimpleNamespace:
+        values = {"cda_m2": 3e-7}, {"factor": 2.0}
+        blank = dict.fromkeys(blocks)
+        return SimpleNamespace(
+            candidates=(leak, friction), values=values, blocks=blank, shared=None, stroke=[None] * 3
+        )
+
+    def parts(_k, residual):
+        yield ChannelPart("p", residual[:1], 1.0, 0.0)
+        yield ChannelPart("x", residual[1:], 3.0, 0.0)
+
+    model = SimpleNamespace(changed=changed, parts=parts)
+    square = (1.96 * 0.05 * 300.0) ** 2
+    assert inexact_squares(model, fit(0, 1)) == pytest.approx({"p": 2 * square, "x": 6 * square})
+    assert inexact_squares(model, fit(2)) == {}
 
 
 def test_a_cause_that_leaves_much_is_doubted() -> None:
