@@ -18,7 +18,7 @@ from plant.effects.effect import Starts
 from plant.errors import IntegrationError
 from sil.inference.candidate import Candidate, compatible, scaled_of
 from sil.inference.evidence import inexact_squares, misfit, strained
-from sil.inference.fit import FitResult, Fitter, Show, no_progress
+from sil.inference.fit import FARTHEST_SD, FitResult, Fitter, Show, no_progress
 from sil.inference.problem import Block, Floats, Problem
 from sil.inference.screening import Score, screen
 from sil.inference.verdict import HeldOutFits, Judged, Verdict, acceptable, decide, judge
@@ -324,10 +324,11 @@ class Search:
             self.scores = screen(self.fitter, healthy, self.candidates)
             likely = [s.candidate for s in self.scores if s.gain > BUDGET.min_linear_gain]
             chosen = likely[: 2 * BUDGET.singles]
+        is_bound = is_strained or bool(np.any(np.abs(healthy.shared) >= FARTHEST_SD))
         tasks = []
         for item in chosen:
             tasks.append(Task.beside(healthy, item, item.starts, parent=healthy.name))
-            if item.effect.rugged or (item.effect.tolerance and is_strained):
+            if item.effect.rugged or (item.effect.tolerance and is_bound):
                 tasks += [Task((item,), ((start,),)) for start in item.starts]
         self.first = self.run_tasks(self.hopeful(tasks, BUDGET.approached))
         self.polish(_promising(self.first, BUDGET.singles))
