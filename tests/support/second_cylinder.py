@@ -17,7 +17,10 @@ STEP_S = 5e-6
 
 @dataclass(frozen=True)
 class Unit:
-    """A cylinder in SI units; c_in, c_out: choked C_d A; tau_s: of its walls; leak: C_d A past the piston."""
+    """A cylinder in SI units; c_in, c_out: choked C_d A; tau_s: of its walls; leak: C_d A past the piston.
+
+    b: where its nozzles choke; the ellipse of ISO 6358 closest to their flow (within 0.04 %) has one 0.5 to 2 % larger.
+    """
 
     bore: float
     rod: float
