@@ -16,7 +16,7 @@ from plant.parameters import ParameterSet
 
 CYLINDER = {
     "friction": (0.3, "cylinder.coulomb"),
-    "breakaway": (0.3, ""),
+    "breakaway": (0.15, ""),
     "viscous": (0.3, "cylinder.viscous"),
     "mass": (0.02, "cylinder.mass"),
     "spring": (0.05, "cylinder.spring_rate"),
