@@ -281,7 +281,7 @@ def require_replayed_or_refused(path: Path) -> bool:
     except InputError as error:
         assert "\n" not in str(error) and str(path) in str(error)
         return False
-    assert found.account.total == found.frames
+    assert found.account.total() == found.frames
     assert len(text(found)) > 100 and as_dict(found) and summary_lines(found)
     assert time.process_time() - begun < LONGEST_S
     return True
