@@ -126,7 +126,8 @@ class Receiver(Generic[M]):
         self, message_type: type[M], timeout_ns: int | None = None, start_ns: int = 0
     ) -> None:
         self.message_type = message_type
-        self.timeout_ns = timeout_ns or 3 * spec_of(message_type).cycle_ns
+        cycle_ns = spec_of(message_type).cycle_ns
+        self.timeout_ns = 3 * cycle_ns if timeout_ns is None else timeout_ns
         self.status = E2eStatus.NO_NEW_DATA
         self.message: M | None = None
         self.message_ns = -1

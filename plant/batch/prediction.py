@@ -127,6 +127,11 @@ class Predictor:
         self._ready: dict[tuple[object, ...], _Ready] = {}
         self._followers: Followers | None = None
 
+    @property
+    def happened(self) -> Floats:
+        """Events of the last call of `states` [events, EventRow.size], SI units."""
+        return self._events[: int(self._control[Control.events])]
+
     def _prepared(self, setup: Setup) -> _Ready:
         # the conditions by identity: they are slow to compare
         key = (id(setup.conditions), setup.timing, setup.creep_s, setup.has_line, setup.spool)

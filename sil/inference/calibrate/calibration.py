@@ -72,7 +72,7 @@ def calibrated_values(
             continue
         by = np.array([float(one[path]) - value for one in there]) / np.diag(steps)  # type: ignore[arg-type]
         half = 1.96 * float(np.sqrt(by @ covariance @ by))
-        if path.startswith(("valve.D", "cylinder.gauge")) or value <= 0.0:
+        if parameters[path].unit == "s" or value <= 0.0:
             low, high = max(0.0, value - half), value + half
         else:
             low, high = value * exp(-half / value), value * exp(half / value)

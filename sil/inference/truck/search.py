@@ -125,8 +125,9 @@ class Search:
         if not best:
             return fits
         # a usual truck may lead a cause astray where the healthy one does not
-        starts = [(f, replace(healthy, cause=f.cause, size=f.size)) for f in _unlike(best)]
-        full = self._in_full([(pair, 5) for pair in starts], stages.until(75.0))
+        pairs = [(f, replace(healthy, cause=f.cause, size=f.size)) for f in _unlike(best)]
+        begun = spread_out(self._begun_better, pairs, self.workers)
+        full = self._completed(begun, stages.until(75.0))
         full += self._in_full(self._challengers(full), stages.until(85.0))
         full.sort(key=lambda fit: -fit.evidence)
         if full[0].cause is not None and full[0].evidence > healthy.evidence + 3.0:
@@ -146,7 +147,7 @@ class Search:
         fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
         fits.sort(key=lambda fit: -fit.evidence)
         if not self.is_explained(fits[0]):
-            again = [((fits[0],), seed) for seed in EFFORT.seeds]
+            again = [(fits[0], seed) for seed in EFFORT.seeds]
             fits += spread_out(self._full, again, self.workers, stages.until(20.0))
             fits.sort(key=lambda fit: -fit.evidence)
         return self._with_reference(fits)
@@ -176,7 +177,7 @@ class Search:
         if all(fit.cause is not None for fit in kept):
             kept.append(best["healthy"])
         usual = whole.fitters[True].start()
-        jobs = [((replace(fit, each=usual.each),), 5) for fit in kept]
+        jobs = [(replace(fit, each=usual.each), 5) for fit in kept]
         return whole, whole._with_reference(spread_out(whole._full, jobs, self.workers, show))
 
     def is_explained(self, fit: Fit) -> bool:
@@ -287,7 +288,7 @@ class Search:
         each[self.first] = fit.each
         return replace(fit, each=each)
 
-    def _in_full(self, jobs: Sequence[tuple[Sequence[Fit], int]], show: Show) -> list[Fit]:
+    def _in_full(self, jobs: Sequence[tuple[Fit, int]], show: Show) -> list[Fit]:
         """Return full fits, the best first, without causes that are far behind before the last stage."""
         return self._completed(spread_out(self._begun, jobs, self.workers), show)
 
@@ -300,16 +301,23 @@ class Search:
         fits = spread_out(self._ended, kept, self.workers, show)
         return sorted(fits, key=lambda fit: -fit.evidence)
 
-    def _begun(self, job: tuple[Sequence[Fit], int]) -> Fit:
-        """Fit a hypothesis to all shifts from the best start, with more than the noise allowed for."""
-        starts, seed = job
-        tried = []
-        for fit in starts:
-            fitter, rng = self.fitters[fit.mounted], np.random.default_rng(seed)
-            fit = fitter.rescanned(fit, MIDDLE_M, rng)
-            fit = fitter.improved(fit, MIDDLE_M, 4, fixed=True)
-            tried.append(fitter.improved(fit, MIDDLE_M, 6))
-        fit = min(tried, key=lambda fit: fit.cost)
+    def _approached(self, job: tuple[Fit, int]) -> tuple[Fit, np.random.Generator]:
+        """Fit a hypothesis to all shifts with a larger error of the model, its size kept at first."""
+        fit, seed = job
+        fitter, rng = self.fitters[fit.mounted], np.random.default_rng(seed)
+        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 4, fixed=True)
+        return fitter.improved(fit, MIDDLE_M, 6), rng
+
+    def _begun(self, job: tuple[Fit, int]) -> Fit:
+        """Fit a hypothesis to all shifts, with more than the noise allowed for."""
+        return self._refined(*self._approached(job))
+
+    def _begun_better(self, starts: Sequence[Fit]) -> Fit:
+        """Fit a hypothesis from the better one of its starts."""
+        tried = [self._approached((fit, 5)) for fit in starts]
+        return self._refined(*min(tried, key=lambda item: item[0].cost))
+
+    def _refined(self, fit: Fit, rng: np.random.Generator) -> Fit:
         fitter = self.fitters[fit.mounted]
         fit = replace(fit, noise_factor=FIRST_FACTOR, spread=np.ones_like(fit.spread))
         return fitter.freed(fitter.improved(fit, FINE_M, 8), rng)
@@ -317,31 +325,29 @@ class Search:
     def _ended(self, fit: Fit) -> Fit:
         return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9))
 
-    def _full(self, job: tuple[Sequence[Fit], int]) -> Fit:
+    def _full(self, job: tuple[Fit, int]) -> Fit:
         return self._ended(self._begun(job))
 
-    def _challengers(self, full: Sequence[Fit]) -> list[tuple[Sequence[Fit], int]]:
+    def _challengers(self, full: Sequence[Fit]) -> list[tuple[Fit, int]]:
         """Return what contests the leading hypothesis.
 
         No cause, the next ones in its truck, other variants of the leading causes, the other mounting.
         """
         leading = list(dict.fromkeys(fit.id for fit in full))[: EFFORT.leading]
         first = {name: next(fit for fit in full if fit.id == name) for name in leading}
-        jobs: list[tuple[Sequence[Fit], int]] = [
-            ((replace(first[name], cause=None, size=0.0),), 9) for name in leading[:2]
-        ]
+        jobs = [(replace(first[name], cause=None, size=0.0), 9) for name in leading[:2]]
         best = full[0]
         following = _best_of(full, EFFORT.crossed, lambda fit: -fit.evidence, np.inf)[1:]
         jobs += [
-            ((replace(best, cause=fit.cause, size=fit.size),), 8) for fit in following if fit.cause
+            (replace(best, cause=fit.cause, size=fit.size), 8) for fit in following if fit.cause
         ]
         tried = {fit.cause for fit in full}
         for cause in self.causes:
             if cause.id in leading and cause not in tried:
                 like = first[cause.id]
-                jobs.append(((replace(like, cause=cause, size=cause.clipped(like.size)),), 8))
+                jobs.append((replace(like, cause=cause, size=cause.clipped(like.size)), 8))
         other = self.fitters[not best.mounted]
-        jobs.append(((replace(best, mounted=not best.mounted, each=best.each * other.mask),), 8))
+        jobs.append((replace(best, mounted=not best.mounted, each=best.each * other.mask), 8))
         return jobs
 
     def _without(self, fit: Fit) -> Fit:
@@ -360,8 +366,7 @@ class Search:
         for error_m in (COARSE_M, MIDDLE_M):
             fit = fitter.rescanned(fit, error_m, rng, 64)
             fit = fitter.improved(fit, error_m, 4, fixed=True)
-        fit = replace(fitter.improved(fit, MIDDLE_M, 5), noise_factor=FIRST_FACTOR)
-        return fitter.freed(fitter.improved(fit, FINE_M, 8), rng)
+        return self._refined(fitter.improved(fit, MIDDLE_M, 5), rng)
 
 
 def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:
