@@ -12,6 +12,7 @@ Checked by: tests/unit/sil/inference/truck/test_fit.py
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
@@ -49,7 +50,7 @@ class Steps:
 
     farthest_sd: no quantity is tried farther out; dampings: of the steps tried at once; short: share of an
     undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
-    impossible: cost of a shift that cannot be simulated. stuck: cost beyond the median from which a shift
+    passing: share of draws in which a cone stops nothing; centrings: iterations of centring; impossible: cost of a shift that cannot be simulated. stuck: cost beyond the median from which a shift
     begins anew, at most `freed` of them at once, each from so many starts, the best of so many draws, with so
     many rounds of settling; freeing: cost that it must gain on where it was.
     """
@@ -58,6 +59,8 @@ class Steps:
     dampings: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0, 10.0)
     short: float = 0.4
     trip_draws: int = 4
+    passing: float = 0.2
+    centrings: int = 3
     impossible: float = 1e6
     stuck: float = 4.0
     freed: int = 2
@@ -80,7 +83,7 @@ FAR_SD: Final = 5.0
 """Standard deviations of a position that noise hardly ever makes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A hypothesis with everything that it leaves free.
 
@@ -264,7 +267,8 @@ class Fitter:
             own = np.flatnonzero(model.acts[:, column])
             if item.acts == "report" or not len(own) or not (shared or item.shift_sd):
                 continue
-            for side in sides:
+            # a cone that stops nothing has no slope: towards where it stops the stay it has a step
+            for side in (1.0,) if item.name == "cone" else sides:
                 there = amounts[own].copy()
                 there[:, column] += side * steps[column]
                 rows.append(own)
@@ -285,12 +289,12 @@ class Fitter:
             np.concatenate(rows), np.concatenate(moved), fit.cause, np.concatenate(sizes)
         )
         out = np.zeros((n, x.shape[1], len(layout) + 1))
-        first = 0
+        first, number = 0, Counter(column for column, *_ in places)
         for column, own, by in places:
             last = first + len(own)
             change = (x[first:last] - fit.position_m[own]) / by
             change[~done[first:last]] = 0.0
-            out[own, :, column] += np.nan_to_num(change) / len(sides)
+            out[own, :, column] += np.nan_to_num(change) / number[column]
             first = last
         out[:, :, layout.at["offset"]] = layout.unit_sd[layout.at["offset"]]
         out[:, :, layout.at["gain"]] = fit.position_m * layout.unit_sd[layout.at["gain"]]
@@ -357,9 +361,8 @@ class Fitter:
         fixed: its size is kept; kept: columns of the truck's quantities that are; enough: cost at which it ends.
         """
         variance = self._variance_of(fit, error_m)
-        fit = self.evaluated(fit, error_m)
+        fit = self.centred(self.evaluated(fit, error_m), kept)
         stuck, columns = False, np.array(kept, dtype=np.int64)
-        which = np.arange(len(self.model))
         for turn in range(rounds):
             if fit.cost <= enough:
                 break
@@ -374,30 +377,59 @@ class Fitter:
                 moved, own = system.step(damping)
                 shares = (1.0, STEPS.short) if damping == 0.0 else (1.0,)
                 trials += [self._moved(fit, share * moved, share * own) for share in shares]
-            x, done = self.model.positions(
-                np.tile(which, len(trials)),
-                np.concatenate([self.layout.amounts(t.unit, t.each) for t in trials]),
-                fit.cause,
-                np.repeat([t.size for t in trials], len(which)),
-            )
-            per_shift = self._misfit(x, done, np.tile(which, len(trials)), variance)
-            per_shift = per_shift.reshape(len(trials), -1)
-            costs = [
-                float(own.sum()) + self.prior_cost(t)
-                for own, t in zip(per_shift, trials, strict=True)
-            ]
-            best = int(np.argmin(costs))
-            if costs[best] < fit.cost - least:
-                own_x = x.reshape(len(trials), len(which), -1)[best]
-                fit = replace(
-                    trials[best], cost=costs[best], position_m=own_x, per_shift=per_shift[best]
-                )
-                stuck = False
+            tried = self._tried(fit, trials, variance)
+            best = min(tried, key=lambda trial: trial.cost)
+            if best.cost >= fit.cost - least:
+                other = self._tried(fit, [self._loads_kept(fit, t) for t in trials], variance)
+                pairs = zip(tried, other, strict=True)
+                best = min((self._joined(*pair) for pair in pairs), key=lambda t: t.cost)
+            if best.cost < fit.cost - least:
+                fit, stuck = self.centred(best, kept), False
             elif stuck:
                 break
             else:
                 stuck = True
         return fit
+
+    def _tried(self, fit: Fit, trials: Sequence[Fit], variance: Floats) -> list[Fit]:
+        """Return trials with their predictions and costs at a variance [shifts, pulses]."""
+        which = np.tile(np.arange(len(self.model)), len(trials))
+        x, done = self.model.positions(
+            which,
+            np.concatenate([self.layout.amounts(t.unit, t.each) for t in trials]),
+            fit.cause,
+            np.repeat([t.size for t in trials], len(self.model)),
+        )
+        per_shift = self._misfit(x, done, which, variance).reshape(len(trials), -1)
+        rows = zip(trials, x.reshape(*per_shift.shape, -1), per_shift, strict=True)
+        return [
+            replace(t, position_m=own_x, per_shift=own, cost=float(own.sum()) + self.prior_cost(t))
+            for t, own_x, own in rows
+        ]
+
+    def _loads_kept(self, fit: Fit, trial: Fit) -> Fit:
+        """Return a trial in which each shift has the loads of its gears as before."""
+        columns = self.layout.differing[self.layout.of_gears]
+        ratio = self.layout.unit_sd[columns] / self.layout.shift_sd[self.layout.of_gears]
+        each = trial.each.copy()
+        moved = ratio * (trial.unit - fit.unit)[columns]
+        each[:, self.layout.of_gears] = fit.each[:, self.layout.of_gears] - moved
+        return replace(trial, each=each * self.mask)
+
+    def _joined(self, one: Fit, other: Fit) -> Fit:
+        """Return a trial with each shift as in the better one of two: cones and teeth stop it, or not."""
+        assert one.per_shift is not None and one.position_m is not None
+        assert other.per_shift is not None and other.position_m is not None
+        own, others = (_own_cost(fit.each, fit.spread) for fit in (one, other))
+        better = one.per_shift + own > other.per_shift + others
+        per_shift = np.where(better, other.per_shift, one.per_shift)
+        joined = replace(
+            one,
+            each=np.where(better[:, None], other.each, one.each),
+            position_m=np.where(better[:, None], other.position_m, one.position_m),
+            per_shift=per_shift,
+        )
+        return replace(joined, cost=float(per_shift.sum()) + self.prior_cost(joined))
 
     def _moved(self, fit: Fit, shared: Floats, own: Floats) -> Fit:
         """Return a fit after a step, within the limits."""
@@ -406,6 +438,33 @@ class Fitter:
         each = np.clip(fit.each + own, -STEPS.farthest_sd, STEPS.farthest_sd) * self.mask
         size = fit.size if fit.cause is None else fit.cause.clipped(fit.size + shared[units])
         return replace(fit, unit=unit, each=each, size=size)
+
+    def centred(self, fit: Fit, kept: Sequence[int] = ()) -> Fit:
+        """Return a fit with the same predictions that its priors like better.
+
+        What its shifts have in common is the truck's, or the trip's; kept: columns of the truck's that stay.
+        """
+        unit, each = fit.unit.copy(), fit.each.copy()
+        at = {column: k for k, column in enumerate(self.layout.differing.tolist())}
+        supply = self.layout.at["supply"]
+        groups = [(c, at[supply], self.model.acts[:, c]) for c in self.layout.of_trips.tolist()]
+        groups += [(column, k, self.mask[:, k]) for column, k in at.items()]
+        for column, k, rows in groups:
+            if column in kept or not rows.any():
+                continue
+            ratio = self.layout.shift_sd[k] / self.layout.unit_sd[column]
+            weight, total, count = fit.spread[k] ** -2, each[rows, k].sum(), rows.sum()
+            moved = 0.0
+            for _ in range(STEPS.centrings):
+                u = unit[column] + ratio * moved
+                own = (PRIORS.unit_tail + 1.0) / (PRIORS.unit_tail + u * u)
+                slope = weight * (total - count * moved) - own * ratio * u
+                moved += slope / (weight * count + own * ratio**2)
+            unit[column] += ratio * moved
+            each[rows, k] -= moved
+        centred = replace(fit, unit=unit, each=each)
+        gain = self.prior_cost(fit) - self.prior_cost(centred)
+        return replace(centred, cost=fit.cost - gain)
 
     def rescanned(self, fit: Fit, error_m: float, rng: Rng, number: int = 48) -> Fit:
         """Return a fit with the best of random quantities for each shift: half of them near, half by the prior."""
@@ -421,6 +480,10 @@ class Fitter:
         centre = np.where(anywhere, 0.0, fit.each[:, None, :])
         there = centre + width * rng.normal(size=(n, number, own)) * self.mask[:, None, :]
         there = np.where(rng.random((n, number, own)) < 0.5, fit.each[:, None, :], there)
+        cone, passing = self._passing(fit)
+        reached = self.mask[:, cone] & (passing > -STEPS.farthest_sd)
+        passes = (rng.random((n, number)) < STEPS.passing) & reached[:, None]
+        there[:, :, cone] = np.where(passes, passing[:, None], there[:, :, cone])
         there[:, :: number // groups] = fit.each[:, None, :]
         # draws in groups: all shifts of a trip have the same supply in each, the first the present one
         units = np.repeat(fit.unit[None], groups, axis=0)
@@ -458,6 +521,13 @@ class Fitter:
             cost=float(total[rows, taken, best].sum()) + self.unit_cost(unit, fit.size),
         )
 
+    def _passing(self, fit: Fit) -> tuple[int, Floats]:
+        """Return the place of the cone's impulse among what differs, and what [shifts] it is if the stay just passes."""
+        column = self.layout.at["cone"]
+        cone = int(np.flatnonzero(self.layout.differing == column)[0])
+        amount = self.model.passing - fit.unit[column] * self.layout.unit_sd[column] - 0.01
+        return cone, amount / self.layout.shift_sd[cone]
+
     def freed(self, fit: Fit, rng: Rng) -> Fit:
         """Return a fit in which the shifts farthest off have begun anew from random loads, where that is better.
 
@@ -487,11 +557,11 @@ class Fitter:
         best = np.arange(len(stuck)) * starts + np.argmin(cost, axis=1)
         each[stuck[gains]] = anew.each[best[gains]]
         anew = self.improved(replace(fit, spread=spread, each=each), FINE_M, 8)
-        anew = self.improved(self._with_scales(anew), FINE_M, 8)
-        return min(anew, self._with_scales(fit), key=self._whole_cost)
+        anew = self.improved(self.with_scales(anew), FINE_M, 8)
+        return min(anew, self.with_scales(fit), key=self.whole_cost)
 
-    def _whole_cost(self, fit: Fit) -> float:
-        """Return the cost of a fit, with what its scales cost."""
+    def whole_cost(self, fit: Fit) -> float:
+        """Return the cost of a fit, with what its scales cost: the one by which fits compare."""
         scales = self.count * np.log(fit.noise_factor) + (self.mask * np.log(fit.spread)).sum()
         return fit.cost + float(scales)
 
@@ -534,7 +604,7 @@ class Fitter:
             )
         return fit
 
-    def _with_scales(self, fit: Fit) -> Fit:
+    def with_scales(self, fit: Fit) -> Fit:
         """Return a fit with the scales of its loads (EM) and of the noise (likelihood)."""
         assert fit.position_m is not None
         system = self.system(
@@ -553,7 +623,7 @@ class Fitter:
     def finished(self, fit: Fit, rng: Rng, times: int = 3, fixed: bool = False) -> Fit:
         """Return a fit of the last stage, with its scales and evidence."""
         for turn in range(times):
-            fit = self._with_scales(fit)
+            fit = self.with_scales(fit)
             if turn < times - 1:
                 fit = self.rescanned(self.freed(fit, rng), FINE_M, rng)
             fit = self.improved(fit, FINE_M, 8, fixed=fixed)

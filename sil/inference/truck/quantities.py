@@ -79,7 +79,8 @@ class Layout:
     """Quantities as columns of arrays.
 
     at: column by name; unit_sd [quantities], shift_sd [differing]; differing: columns of the quantities
-    that differ between shifts; of_trips: columns of the supplies of trips; is_load: which of these have an estimated standard deviation.
+    that differ between shifts; of_trips: columns of the supplies of trips; is_load: which of these have an estimated standard deviation;
+    of_gears: which of these are loads of getting into a gear, or out of it.
     """
 
     def __init__(self, own: tuple[Quantity, ...]) -> None:
@@ -92,6 +93,7 @@ class Layout:
             [k for k, item in enumerate(own) if item.acts.startswith("trip")], dtype=np.int64
         )
         self.is_load = np.array([own[k].is_load for k in self.differing])
+        self.of_gears = np.flatnonzero([own[k].acts.endswith("gear") for k in self.differing])
 
     def __len__(self) -> int:
         return len(self.own)

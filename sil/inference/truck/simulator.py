@@ -32,6 +32,8 @@ from sil.log_replay.recorded_shifts import RecordedShift
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
+PASSING_N_S = 0.3
+"""Impulse of a cone up to which the stay passes without a stop, or nearly so: at equal speeds."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class ShiftModel:
     """The plant of a truck, or of a rig without gearbox, for recorded shifts.
 
     position_m [shifts, pulses]: as recorded, in steps of tick_m; recorded [shifts, pulses]: whether there is a pulse; acts
-    [shifts, quantities]: which quantities a shift depends on; strokes: simulated so far.
+    [shifts, quantities]: which quantities a shift depends on; passing [shifts]: the cone's amount up to which it
+    stops nothing; strokes: simulated so far.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class ShiftModel:
             [1.0 if np.isnan(s.supply_pa) else s.supply_pa / self.supply_pa for s in shifts]
         )
         self._impulse: Floats = np.array([_impulse_n_s(s) for s in shifts])
+        self.passing: Floats = np.log(PASSING_N_S / self._impulse)
         into = [any(c != 1 and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
         out_of = [s.start in ("B", "F") for s in shifts]
         kinds = {
@@ -190,8 +194,7 @@ class ShiftModel:
         p.mesh_force = np.maximum(1e-6, p.mesh_force + mesh + amounts[:, at["mesh"]])
         p.pull_force = np.maximum(0.0, p.pull_force + pull + amounts[:, at["pull"]])
         cone = self._impulse[which] * np.exp(np.clip(amounts[:, at["cone"]], -6.0, 4.0))
-        # cones at equal speeds let the stay pass without a stop, or nearly so
-        cone = np.maximum(cone - 0.3, 0.0)
+        cone = np.maximum(cone - PASSING_N_S, 0.0)
         p.sync_impulse = np.where(self.acts[which, at["cone"]], cone, 0.0)
         out: Floats = p.array
         return out
@@ -242,4 +245,4 @@ def _impulse_n_s(shift: RecordedShift) -> float:
     if np.isnan(shift.difference_rad_s) or shift.end == "N":
         return 30.0
     # of the default driveline: 0.25 N s at 0.09 rad/s
-    return max(0.3, 0.25 / 0.09 * abs(shift.difference_rad_s))
+    return max(PASSING_N_S, 0.25 / 0.09 * abs(shift.difference_rad_s))

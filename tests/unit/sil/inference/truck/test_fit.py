@@ -69,9 +69,57 @@ def test_what_no_shift_is_stuck_in_is_left_as_it_is(fitter: Fitter, usual: Fit) 
     assert fitter.freed(fit, np.random.default_rng(1)).each is fit.each
 
 
+def test_what_shifts_have_in_common_is_the_trucks(fitter: Fitter, usual: Fit) -> None:
+    fit = fitter.evaluated(replace(usual, each=usual.each - 1.5 * fitter.mask), COARSE_M)
+    centred = fitter.centred(fit)
+    again = fitter.evaluated(centred, COARSE_M)
+    assert again.cost == pytest.approx(centred.cost) and centred.cost < fit.cost - 5.0
+    assert again.position_m == pytest.approx(fit.position_m, abs=1e-12)
+    assert np.abs(centred.each).max() < 0.8 < np.abs(centred.unit).max()
+    kept = fitter.centred(fit, kept=fitter.layout.differing)
+    assert (kept.unit == fit.unit).all() and (kept.each == fit.each).all()
+
+
+def test_a_trial_may_keep_the_loads_of_gears(fitter: Fitter, usual: Fit) -> None:
+    trial = replace(usual, unit=usual.unit + 0.7, each=usual.each + 0.4 * fitter.mask)
+    kept = fitter._loads_kept(usual, trial)
+    loads = fitter.layout.differing[fitter.layout.of_gears]
+    moved = fitter.layout.amounts(kept.unit, kept.each) - fitter.layout.amounts(
+        usual.unit, usual.each
+    )
+    acting = fitter.model.acts
+    assert np.abs(moved[:, loads][acting[:, loads]]).max() < 1e-9
+    assert np.abs(moved[:, fitter.layout.at["friction"]]).min() > 0.0
+    both = [fitter._tried(usual, [t], fitter.variance(COARSE_M))[0] for t in (trial, kept)]
+    joined = fitter._joined(*both)
+    assert joined.cost <= min(fit.cost for fit in both)
+    assert joined.cost == pytest.approx(fitter.evaluated(joined, COARSE_M).cost)
+
+
+def test_a_cone_has_its_slope_where_it_stops_the_stay(fitter: Fitter, usual: Fit) -> None:
+    cone, passing = fitter._passing(usual)
+    into_gear = int(np.flatnonzero(fitter.mask[:, cone])[0])
+    each = usual.each.copy()
+    each[into_gear, cone] = passing[into_gear]
+    through = fitter.evaluated(replace(usual, each=each), COARSE_M)
+    each = each.copy()
+    each[into_gear, cone] -= 1.0
+    assert fitter.evaluated(replace(usual, each=each), COARSE_M).cost > through.cost
+    weaker = fitter.evaluated(replace(usual, each=each), COARSE_M)
+    assert weaker.position_m == pytest.approx(through.position_m)
+    each = each.copy()
+    each[into_gear, cone] = passing[into_gear] + 0.1
+    stopped = fitter.evaluated(replace(usual, each=each), COARSE_M)
+    assert np.abs(stopped.position_m - through.position_m)[into_gear].max() > 1e-4
+    slopes = fitter.derivatives(through, 0.1, (-1.0,))[into_gear, :, fitter.layout.at["cone"]]
+    assert np.abs(slopes).max() > 1e-4
+
+
 def test_a_fit_ends_where_its_cost_is_low_enough(fitter: Fitter, usual: Fit) -> None:
     shifted = fitter.evaluated(replace(usual, unit=usual.unit + 0.5), COARSE_M)
-    assert fitter.improved(shifted, COARSE_M, 4, enough=shifted.cost).cost == shifted.cost
+    shifted = fitter.centred(shifted)
+    enough = shifted.cost + 1e-6
+    assert fitter.improved(shifted, COARSE_M, 4, enough=enough).cost == pytest.approx(shifted.cost)
     better = fitter.improved(shifted, COARSE_M, 4)
     assert better.cost <= fitter.improved(shifted, COARSE_M, 4, enough=better.cost + 1.0).cost
 
