@@ -45,7 +45,7 @@ class Tested:
     rounds: int = 8
     shares: tuple[float, ...] = (0.33, 0.67, 1.0)
     rounds_each: int = 4
-    shifts: int = 12
+    shifts: int = 8
     tiny: float = 1e-6
 
 

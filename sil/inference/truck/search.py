@@ -2,8 +2,8 @@
 
 A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What
 each cause would gain beside it, by secants with all else free, picks those fitted near it; unless a
-healthy truck explains the shifts, every cause is also fitted coarsely in a usual truck, at several sizes.
-The best are fitted again from other random quantities, healthy from where they are, and the leading
+healthy truck explains the shifts, every cause is also fitted to some of them, slight ones in the healthy
+truck, larger ones in a usual one. The best are fitted again from other random quantities, healthy from where they are, and the leading
 causes in other variants, at other sizes and on the other mounting.
 Checked by: tests/unit/sil/inference/truck/test_search.py
 """
@@ -11,7 +11,7 @@ Checked by: tests/unit/sil/inference/truck/test_search.py
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -42,10 +42,11 @@ class Effort:
     Of a truck without a cause: supplies (known_supplies where the log states it): deviations at which it is
     fitted first; seeds: of random quantities from which it is fitted again unless it explains the shifts.
     Near it: causes that gain at least least_gain of log evidence by secants are fitted, at most `near`,
-    near_fitted of them in full. In a usual truck (wide): sizes tried first, first_shifts that a first look
-    takes, variants of an effect, and of each size causes continued and fitted in full. hopeless: cost
+    near_fitted of them in full. To some shifts (wide): sizes tried first, in the healthy truck if at most
+    `slight`; first_shifts that a first look takes; variants of an effect; causes of which sizes around the
+    first are tried, and, of each first size, fitted in full. hopeless: cost
     behind the best from which a coarse fit is not continued, of which a shift is at most most_of_shift; behind, completed: cost, and number of causes,
-    from which a full one is not, before its last stage. crossed: causes fitted again in the truck of the
+    from which a full one is not, before its last stages, far_behind: before the very last. crossed: causes fitted again in the truck of the
     leading one; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
     leading: causes contested by other variants, and by a healthy truck from where they are.
     """
@@ -56,18 +57,20 @@ class Effort:
     least_gain: float = 1.5
     near: int = 14
     near_fitted: int = 6
-    first_sizes: tuple[float, ...] = (1.5, 5.0, 15.0)
+    first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 15.0)
     first_shifts: int = 6
+    slight: float = 3.0
     variants: int = 3
-    wide_continued: int = 12
-    wide_fitted: int = 6
+    wide_varied: int = 12
+    wide_fitted: int = 3
     hopeless: float = 40.0
     most_of_shift: float = 20.0
-    behind: float = 12.0
-    completed: int = 12
+    behind: float = 25.0
+    far_behind: float = 12.0
+    completed: int = 10
     crossed: int = 8
-    contesting: int = 12
-    contest: float = 15.0
+    contesting: int = 6
+    contest: float = 20.0
     later_sizes: tuple[float, ...] = (0.65, 0.8, 1.25, 1.6)
     leading: int = 3
 
@@ -121,13 +124,10 @@ class Search:
         near = self._near(healthy, gains, stages)
         best = _best_of(near, EFFORT.near_fitted)
         if not self.is_explained(healthy):
-            best += self._wide(dict.fromkeys((True, healthy.mounted)), stages)
+            best += self._wide(healthy, stages)
         if not best:
             return fits
-        # a usual truck may lead a cause astray where the healthy one does not
-        pairs = [(f, replace(healthy, cause=f.cause, size=f.size)) for f in _unlike(best)]
-        begun = spread_out(self._begun_better, pairs, self.workers)
-        full = self._completed(begun, stages.until(75.0))
+        full = self._in_full([(fit, 5) for fit in _unlike(best)], stages.until(75.0))
         full += self._in_full(self._challengers(full), stages.until(85.0))
         full.sort(key=lambda fit: -fit.evidence)
         if full[0].cause is not None and full[0].evidence > healthy.evidence + 3.0:
@@ -238,53 +238,51 @@ class Search:
         fit = replace(healthy, cause=cause, size=0.3 * size)
         return self.fitters[fit.mounted].improved(fit, FINE_M, 5, least=0.5)
 
-    def _wide(self, mountings: Iterable[bool], stages: Stages) -> list[Fit]:
-        """Fit every cause in a usual truck from several sizes; return the best from each."""
+    def _wide(self, healthy: Fit, stages: Stages) -> list[Fit]:
+        """Fit every cause to some shifts from several sizes; return the best from each, for all shifts.
+
+        Of a slight size in the healthy truck, of a larger one, and on the other mounting, in a usual one.
+        """
+
+        def truck(mounted: bool, size: float) -> Fit:
+            is_slight = mounted is healthy.mounted and abs(size) <= EFFORT.slight
+            return healthy if is_slight else self.fitters[mounted].start()
+
         sizes = EFFORT.first_sizes
         jobs = [
-            (mounted, cause, size, seed)
-            for mounted in mountings
+            (truck(mounted, size), cause, size, seed)
+            for mounted in dict.fromkeys((True, healthy.mounted))
             for cause in self._first_look()
-            for seed, size in enumerate(cause.sizes(*sizes[: 3 if cause.sign else 2]))
+            for seed, size in enumerate(cause.sizes(*sizes[: 4 if cause.sign else 3]))
         ]
-        begun = spread_out(self._coarse, jobs, self.workers, stages.until(37.0))
+        begun = spread_out(self._begun_on_some, jobs, self.workers, stages.until(40.0))
         around = [
-            (fit.mounted, fit.cause, fit.cause.clipped(by * fit.size), len(sizes))
-            for fit in _best_of(begun, EFFORT.wide_continued, _capped)
+            (truck(fit.mounted, size), fit.cause, size, len(sizes))
+            for fit in _best_of(begun, EFFORT.wide_varied, _capped)
             if fit.cause is not None
-            for by in EFFORT.later_sizes
+            for size in (fit.cause.clipped(by * fit.size) for by in EFFORT.later_sizes)
         ]
         begun_at = np.searchsorted(sizes, [abs(size) for *_, size, _ in jobs])
+        # sizes far apart may fit alike: the best from each of them go on
         groups = [
             [fit for fit, k in zip(begun, begun_at, strict=True) if k == at]
             for at in range(len(sizes))
         ]
-        groups.append(spread_out(self._coarse, around, self.workers, stages.until(42.0)))
-        # a coarse fit cannot tell sizes far apart: the best from each of them goes on
-        going = [_best_of(group, EFFORT.wide_continued, _capped) for group in groups]
-        fits = iter(
-            spread_out(
-                self._continued,
-                [fit for group in going for fit in group],
-                self.workers,
-                stages.until(50.0),
-            )
-        )
-        continued = [[next(fits) for _ in group] for group in going]
-        return [fit for group in continued for fit in _best_of(group, EFFORT.wide_fitted, _capped)]
+        groups.append(spread_out(self._begun_on_some, around, self.workers, stages.until(50.0)))
+        return [fit for group in groups for fit in _best_of(group, EFFORT.wide_fitted, _capped)]
 
-    def _coarse(self, job: tuple[bool, Cause, float, int]) -> Fit:
-        mounted, cause, size, seed = job
-        fitter, rng = self.coarse[mounted], np.random.default_rng(seed)
-        fit = fitter.rescanned(fitter.start(cause, size), COARSE_M, rng)
-        return fitter.improved(fit, COARSE_M, 3, least=1.0)
-
-    def _continued(self, fit: Fit) -> Fit:
-        """Return a coarse fit, continued, with the usual quantities for shifts that it had not."""
-        fitter, rng = self.coarse[fit.mounted], np.random.default_rng(4)
-        fit = fitter.rescanned(fit, MIDDLE_M, rng, 32)
-        fit = fitter.improved(fit, MIDDLE_M, 4, least=1.0)
-        each = self.fitters[fit.mounted].start().each
+    def _begun_on_some(self, job: tuple[Fit, Cause, float, int]) -> Fit:
+        """Fit a cause of a size in a truck to the shifts of a first look."""
+        truck, cause, size, seed = job
+        fitter, rng = self.coarse[truck.mounted], np.random.default_rng(seed)
+        spread = np.ones_like(truck.spread)
+        fit = replace(truck, cause=cause, size=size, spread=spread, each=truck.each[self.first])
+        if not truck.unit.any():  # a usual truck is far from this one
+            fit = fitter.rescanned(fit, COARSE_M, rng)
+            fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True)
+        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 3, fixed=True)
+        fit = fitter.improved(fit, MIDDLE_M, 3)
+        each = truck.each.copy()
         each[self.first] = fit.each
         return replace(fit, each=each)
 
@@ -294,39 +292,37 @@ class Search:
 
     def _completed(self, begun: Sequence[Fit], show: Show) -> list[Fit]:
         """Fit those to the end that can catch up, and every healthy truck."""
-        least = min((fit.cost for fit in begun), default=0.0)
-        near = sorted(fit.cost for fit in begun if fit.cause)[: EFFORT.completed]
-        most = min([least + EFFORT.behind, *near[-1:]])
-        kept = [fit for fit in begun if fit.cause is None or fit.cost <= most]
-        fits = spread_out(self._ended, kept, self.workers, show)
+        kept = self._catching_up(begun, EFFORT.behind)
+        fits = spread_out(self._ended, kept, self.workers)
+        leading = self._catching_up(fits, EFFORT.far_behind)
+        rest = [fit for fit in fits if fit not in leading]
+        fits = rest + spread_out(self._ended, leading, self.workers, show)
         return sorted(fits, key=lambda fit: -fit.evidence)
 
-    def _approached(self, job: tuple[Fit, int]) -> tuple[Fit, np.random.Generator]:
-        """Fit a hypothesis to all shifts with a larger error of the model, its size kept at first."""
+    def _catching_up(self, fits: Sequence[Fit], behind: float) -> list[Fit]:
+        """Return those that are at most so far behind in cost, and every healthy truck."""
+        costs = [self.fitters[fit.mounted].whole_cost(fit) for fit in fits]
+        near = sorted(c for c, fit in zip(costs, fits, strict=True) if fit.cause)
+        most = min([min(costs, default=0.0) + behind, *near[: EFFORT.completed][-1:]])
+        return [f for c, f in zip(costs, fits, strict=True) if f.cause is None or c <= most]
+
+    def _begun(self, job: tuple[Fit, int]) -> Fit:
+        """Fit a hypothesis to all shifts, with more than the noise allowed for, its size kept at first."""
         fit, seed = job
         fitter, rng = self.fitters[fit.mounted], np.random.default_rng(seed)
         fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 4, fixed=True)
-        return fitter.improved(fit, MIDDLE_M, 6), rng
-
-    def _begun(self, job: tuple[Fit, int]) -> Fit:
-        """Fit a hypothesis to all shifts, with more than the noise allowed for."""
-        return self._refined(*self._approached(job))
-
-    def _begun_better(self, starts: Sequence[Fit]) -> Fit:
-        """Fit a hypothesis from the better one of its starts."""
-        tried = [self._approached((fit, 5)) for fit in starts]
-        return self._refined(*min(tried, key=lambda item: item[0].cost))
+        return self._refined(fitter.improved(fit, MIDDLE_M, 6), rng)
 
     def _refined(self, fit: Fit, rng: np.random.Generator) -> Fit:
         fitter = self.fitters[fit.mounted]
         fit = replace(fit, noise_factor=FIRST_FACTOR, spread=np.ones_like(fit.spread))
-        return fitter.freed(fitter.improved(fit, FINE_M, 8), rng)
+        return fitter.with_scales(fitter.freed(fitter.improved(fit, FINE_M, 8), rng))
 
     def _ended(self, fit: Fit) -> Fit:
-        return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9))
+        return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9), times=2)
 
     def _full(self, job: tuple[Fit, int]) -> Fit:
-        return self._ended(self._begun(job))
+        return self._ended(self._ended(self._begun(job)))
 
     def _challengers(self, full: Sequence[Fit]) -> list[tuple[Fit, int]]:
         """Return what contests the leading hypothesis.
@@ -362,10 +358,10 @@ class Search:
         assert fit.cause is not None
         fitter, rng = self.fitters[fit.mounted], np.random.default_rng(3)
         size = fit.cause.clipped(factor * fit.size)
-        fit = replace(fit, size=size, spread=np.ones_like(fit.spread))
+        fit = fitter.start(fit.cause, size)
         for error_m in (COARSE_M, MIDDLE_M):
             fit = fitter.rescanned(fit, error_m, rng, 64)
-            fit = fitter.improved(fit, error_m, 4, fixed=True)
+            fit = fitter.improved(fit, error_m, 6, fixed=True)
         return self._refined(fitter.improved(fit, MIDDLE_M, 5), rng)
 
 

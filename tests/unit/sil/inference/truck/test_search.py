@@ -61,11 +61,21 @@ def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.Monke
     monkeypatch.setattr(search, "_ended", lambda fit: fit)
     fits = [coarse("detent", cost) for cost in (5.0, 8.0, 30.0)]
     fits.append(replace(fits[0], cause=None, cost=90.0))
+    search.fitters[True] = SimpleNamespace(whole_cost=lambda fit: fit.cost)
+    fits[2] = replace(fits[2], cost=5.0 + EFFORT.behind + 1.0)
     assert {fit.cost for fit in search._completed(fits, no_progress)} == {5.0, 8.0, 90.0}
     assert search._completed([], no_progress) == []
     most = EFFORT.completed
     many = [coarse("detent", 0.1 * k) for k in range(most + 5)]
     assert len(search._completed(many, no_progress)) == most
+
+
+def test_the_very_last_stage_is_for_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Search({True: SimpleNamespace(whole_cost=lambda fit: fit.cost)}, {}, [], [])
+    monkeypatch.setattr(search, "_ended", lambda fit: replace(fit, cost=fit.cost - 0.5))
+    fits = [coarse("detent", cost) for cost in (5.0, 6.0 + EFFORT.far_behind)]
+    ended = search._completed(fits, no_progress)
+    assert {fit.cost for fit in ended} == {4.0, 5.5 + EFFORT.far_behind}
 
 
 @pytest.fixture(scope="module")
