@@ -50,7 +50,7 @@ class Steps:
 
     farthest_sd: no quantity is tried farther out; dampings: of the steps tried at once; short: share of an
     undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
-    passing: share of draws in which a cone stops nothing; centrings: iterations of centring; impossible: cost of a shift that cannot be simulated. stuck: cost beyond the median from which a shift
+    passing: share of draws in which a cone stops nothing; centrings: iterations of centring; informed: share of a load's variance that a shift leaves at most; impossible: cost of a shift that cannot be simulated. stuck: cost beyond the median from which a shift
     begins anew, at most `freed` of them at once, each from so many starts, the best of so many draws, with so
     many rounds of settling; freeing: cost that it must gain on where it was.
     """
@@ -61,6 +61,7 @@ class Steps:
     trip_draws: int = 4
     passing: float = 0.2
     centrings: int = 3
+    informed: float = 0.9
     impossible: float = 1e6
     stuck: float = 4.0
     freed: int = 2
@@ -613,9 +614,11 @@ class Fitter:
         variance = np.einsum("kii->ki", np.linalg.inv(system.own))
         spread = fit.spread.copy()
         for column in np.flatnonzero(self.layout.is_load):
-            acts = self.mask[:, column]
-            if acts.sum() >= 2:
-                square = fit.each[acts, column] ** 2 + variance[acts, column]
+            # a shift that says nothing of a load says nothing of how much it differs
+            is_known = variance[:, column] < STEPS.informed * spread[column] ** 2
+            rows = self.mask[:, column] & is_known
+            if rows.sum() >= 2:
+                square = fit.each[rows, column] ** 2 + variance[rows, column]
                 spread[column] = np.clip(np.sqrt(square.mean()), *PRIORS.spreads)
         fit = replace(fit, spread=spread, noise_factor=self.factor_of(fit.position_m))
         return self.evaluated(fit, FINE_M)

@@ -55,7 +55,8 @@ def quantities(
         Quantity("linkage", "friction of the linkage", "-", 0.3, acts="mounted"),
         Quantity("mass", "mass of the gearbox", "-", 0.2, acts="mounted"),
         Quantity("mesh", "barrier into gear", "N", 500.0, 300.0, True, "into gear"),
-        Quantity("pull", "barrier out of gear", "N", 400.0, 300.0, True, "out of gear"),
+        # a stay that rebounds meets it on the way into gear, too
+        Quantity("pull", "barrier out of gear", "N", 400.0, 300.0, True, "mounted"),
         Quantity("cone", "impulse per speed difference", "-", 1.0, 0.5, True, "into gear"),
         Quantity("latency", "way of a pulse to the log", "s", 3e-4, 1e-4),
         Quantity("offset", "offset of the position", "m", 1e-4, acts="report"),
@@ -93,7 +94,7 @@ class Layout:
             [k for k, item in enumerate(own) if item.acts.startswith("trip")], dtype=np.int64
         )
         self.is_load = np.array([own[k].is_load for k in self.differing])
-        self.of_gears = np.flatnonzero([own[k].acts.endswith("gear") for k in self.differing])
+        self.of_gears = np.flatnonzero(self.is_load & (self.differing != self.at["supply"]))
 
     def __len__(self) -> int:
         return len(self.own)

@@ -34,6 +34,8 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 PASSING_N_S = 0.3
 """Impulse of a cone up to which the stay passes without a stop, or nearly so: at equal speeds."""
+EQUAL_RAD_S = 0.5
+"""Speed difference at the command that an engine which synchronizes has taken away when the stay is there."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +84,11 @@ class ShiftModel:
         self._impulse: Floats = np.array([_impulse_n_s(s) for s in shifts])
         self.passing: Floats = np.log(PASSING_N_S / self._impulse)
         into = [any(c != 1 and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
-        out_of = [s.start in ("B", "F") for s in shifts]
         kinds = {
             "always": np.ones(len(shifts), dtype=bool),
             "report": np.ones(len(shifts), dtype=bool),
             "mounted": np.full(len(shifts), mounted),
             "into gear": np.array(into) & mounted,
-            "out of gear": np.array(out_of) & mounted,
         }
         for k, trip in enumerate(self.trips):
             kinds[f"trip {k}"] = np.array([s.source == trip for s in shifts])
@@ -244,5 +244,7 @@ def _impulse_n_s(shift: RecordedShift) -> float:
     """Return the usual impulse of the cone, N s, at the speed difference of a shift."""
     if np.isnan(shift.difference_rad_s) or shift.end == "N":
         return 30.0
-    # of the default driveline: 0.25 N s at 0.09 rad/s
-    return max(PASSING_N_S, 0.25 / 0.09 * abs(shift.difference_rad_s))
+    difference_rad_s = abs(shift.difference_rad_s)
+    if difference_rad_s < EQUAL_RAD_S:
+        return 0.5 * PASSING_N_S
+    return 0.25 / 0.09 * difference_rad_s  # of the default driveline: 0.25 N s at 0.09 rad/s

@@ -106,4 +106,4 @@ def test_a_healthy_truck_is_found_from_where_a_cause_ended(search: Search) -> No
     ended = replace(fit, cause=only("supply_low"), size=0.02, evidence=fit.evidence + 50.0)
     without = search._without(ended)
     assert without.cause is None and without.size == 0.0
-    assert without.evidence > fit.evidence - 1.0
+    assert without.evidence > fit.evidence - 3.0  # with slopes of its own

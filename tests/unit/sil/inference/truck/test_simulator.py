@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,28 @@ def test_barriers_act_on_their_shifts_alone(fitter: Fitter) -> None:
     changed = np.abs(positions(fitter.model, mesh=300.0) - positions(fitter.model)).max(axis=1)
     into = np.array([shift.end in "BF" for shift in fitter.model.shifts])
     assert (changed[into] > 1e-4).all() and (changed[~into] == 0.0).all()
+
+
+def test_a_stay_that_rebounds_meets_the_barrier_out_of_gear_on_its_way_in(fitter: Fitter) -> None:
+    model = fitter.model
+    into = np.flatnonzero([shift.end in "BF" for shift in model.shifts])
+    amounts = np.zeros((2, len(into), len(model.layout)))
+    amounts[1, :, model.layout.at["pull"]] = 300.0
+    rows = np.tile(into, 2)
+
+    def apart(size: float) -> np.ndarray:
+        cause = only("end_stop_bounce")
+        x, _ = model.positions(rows, amounts.reshape(len(rows), -1), cause, size)
+        return np.abs(x[: len(into)] - x[len(into) :]).max(axis=1)
+
+    assert apart(0.0).max() == 0.0 and apart(2.4).min() > 5e-6
+
+
+def test_at_equal_speeds_a_cone_usually_stops_nothing(shifts: list[RecordedShift]) -> None:
+    into = next(shift for shift in shifts if shift.end in "BF")
+    pair = [replace(into, difference_rad_s=by) for by in (0.2, 8.0)]
+    model = ShiftModel(pair, load("nominal"))
+    assert model.passing[0] > 0.0 > model.passing[1]
 
 
 def test_offset_and_gain_act_on_the_report(fitter: Fitter) -> None:
