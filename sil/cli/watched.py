@@ -29,6 +29,8 @@ def go_on_in_child(file: str) -> None:
     stacks = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
     sys.stdout.flush()
     handlers = {number: signal.getsignal(number) for number in ENDING_SIGNALS}
+    # one that arrives now waits until it is known who answers it
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     child = os.fork()
     if child:
         _wait(child, file, stacks)
@@ -36,6 +38,7 @@ def go_on_in_child(file: str) -> None:
     ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG: ends with the parent
     for number, handler in handlers.items():
         signal.signal(number, handler)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING_SIGNALS)
     faulthandler.enable(stacks, all_threads=False)
     crash_places.append(lambda: _place(stacks))
 
@@ -52,6 +55,7 @@ def _wait(child: int, file: str, stacks: Any) -> None:
     for number in ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, interrupt)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING_SIGNALS)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if code == -signal.SIGKILL and len(interrupts) > 1:
         os.write(2, f"opc4 {sys.argv[1]}: interrupted\n".encode())
