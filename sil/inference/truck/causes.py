@@ -56,6 +56,11 @@ class Cause:
         return self.effect.sized_by == "none"
 
     @property
+    def is_by_supply(self) -> bool:
+        """Whether the effect moves a valve's delay by the supply pressure."""
+        return bool(self.effect.switching) and not self.effect.tolerance
+
+    @property
     def sign(self) -> int:
         """+1 or -1 if only such sizes are physical, 0 if both are."""
         return 1 if self.is_narrowing else self.parameter.sign
@@ -121,4 +126,4 @@ def offered(shifts: Sequence[RecordedShift]) -> list[Cause]:
     """Return the catalogue's causes, those by the supply pressure only if that is known to vary."""
     supplies = [s.supply_pa for s in shifts if not np.isnan(s.supply_pa)]
     varies = len(supplies) > 1 and float(np.std(supplies)) > 2e4  # Pa
-    return [c for c in catalogue() if varies or not c.effect.switching or c.effect.tolerance]
+    return [c for c in catalogue() if varies or not c.is_by_supply]

@@ -275,8 +275,8 @@ class Search:
         """Fit a cause of a size in a truck to the shifts of a first look."""
         truck, cause, size, seed = job
         fitter, rng = self.coarse[truck.mounted], np.random.default_rng(seed)
-        spread = np.ones_like(truck.spread)
-        fit = replace(truck, cause=cause, size=size, spread=spread, each=truck.each[self.first])
+        fit = replace(truck, cause=cause, size=size, each=truck.each[self.first])
+        fit = replace(fit, spread=np.ones_like(fit.spread))
         if not truck.unit.any():  # a usual truck is far from this one
             fit = fitter.rescanned(fit, COARSE_M, rng)
             fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True)

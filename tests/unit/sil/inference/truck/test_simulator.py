@@ -68,6 +68,20 @@ def test_a_stay_that_rebounds_meets_the_barrier_out_of_gear_on_its_way_in(fitter
     assert apart(0.0).max() == 0.0 and apart(2.4).min() > 5e-6
 
 
+def test_a_delay_by_the_supply_is_that_of_each_shifts(shifts: list[RecordedShift]) -> None:
+    pair = [replace(shifts[0], supply_pa=by) for by in (9e5, 7e5)]
+    model = ShiftModel(pair, load("nominal"))
+    rows, usual = np.arange(2), np.zeros((2, len(model.layout)))
+    cause = only("valve_delay_pressure")
+    x, _ = model.positions(rows, usual, cause, -1.0)
+    alone, _ = model.positions(rows, usual)
+    assert x[0] == pytest.approx(alone[0], abs=1e-7)
+    usual[:, model.layout.at["rise"]] = cause.value(-1.0) * -2e5
+    late, _ = model.positions(rows, usual)
+    assert x[1] == pytest.approx(late[1], abs=1e-7)  # delays are whole nanoseconds
+    assert np.abs(x[1] - alone[1]).max() > 1e-4
+
+
 def test_at_equal_speeds_a_cone_usually_stops_nothing(shifts: list[RecordedShift]) -> None:
     into = next(shift for shift in shifts if shift.end in "BF")
     pair = [replace(into, difference_rad_s=by) for by in (0.2, 8.0)]
