@@ -21,7 +21,7 @@ from sil.inference.truck.causes import offered
 from sil.inference.truck.detectable import Detectable, detectable_of
 from sil.inference.truck.fit import FINE_M, Fit, Fitter
 from sil.inference.truck.search import Search, spread
-from sil.inference.truck.verdict import Hypothesis, Verdict, decide
+from sil.inference.truck.verdict import MIN_SHIFTS, Hypothesis, Verdict, decide
 from sil.inference.workers import Stages
 from sil.j1939.mapping import SignalMapping
 from sil.log_replay.recorded_shifts import LEAD_S, RecordedShift, shifts_of
@@ -101,8 +101,8 @@ def judge(
     """Judge the shifts of one truck against the plant of a parameter set; broken: what is wrong in its logs."""
     used = spread(shifts, MOST_SHIFTS)
     failed = sum(shift.failed for shift in used)
-    if len(used) < 3 and not failed:
-        text = f"{counted(len(used), 'usable shift')}; at least 3 are needed to judge"
+    if len(used) < MIN_SHIFTS and not failed:
+        text = f"{counted(len(used), 'usable shift')}; at least {MIN_SHIFTS} are needed to judge"
         return TruckDiagnosis("cannot_tell", tuple(used), (text, *broken))
     noise_m, causes = noise_of(used, parameters), offered(used)
     stages = Stages(show)

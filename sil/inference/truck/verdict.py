@@ -24,6 +24,8 @@ from sil.inference.verdict import Conclusion, kind_of
 
 TEMPER: Final = 1.0 / 3.0
 """Share of a difference in evidence that counts between causes."""
+MIN_SHIFTS: Final = 3
+"""Shifts from which on a cause is named, and from which on a truck is judged at all unless one failed."""
 REPEATED: Final = 2
 """Shifts in which a deviation repeats."""
 
@@ -167,6 +169,10 @@ def decide(
         findings.append(
             f"a healthy truck is off by more than {FAR_SD:g} sd in {counted(far, 'shift')}"
         )
+    count = len(fitters[healthy.mounted].model)
+    if claims and count < MIN_SHIFTS:
+        findings.append(f"{counted(count, 'shift')} cannot tell one cause from another")
+        claims = []
     if is_wrong and (not claims or sound >= LIMITS.min_healthy_probability):
         unnamed, claims = 1.0, []
         if not findings:

@@ -16,7 +16,7 @@ from sil.inference.truck.verdict import Verdict, by_id, decide, reported, weighe
 from tests.unit.sil.inference.truck.test_causes import only
 
 CAUSES = catalogue()
-QUIET: Any = SimpleNamespace(deviating=lambda _fit: 0)
+QUIET: Any = SimpleNamespace(deviating=lambda _fit: 0, model=range(5))
 FITTERS = {True: QUIET, False: QUIET}
 
 
@@ -27,10 +27,17 @@ def fit(name: str, evidence: float, noise: float = 1.0, size: float = 2.0) -> Fi
 
 
 def judged(
-    fits: list[Fit], far: int = 0, failed: int = 0, ends: tuple[float, float] = (1.0, 3.0)
+    fits: list[Fit],
+    far: int = 0,
+    failed: int = 0,
+    ends: tuple[float, float] = (1.0, 3.0),
+    shifts: int = 5,
 ) -> Verdict:
     fitter: Any = SimpleNamespace(
-        deviating=lambda _fit: far, misfit_cost=lambda _fit: 50.0, profile=lambda _fit: ends
+        deviating=lambda _fit: far,
+        misfit_cost=lambda _fit: 50.0,
+        profile=lambda _fit: ends,
+        model=range(shifts),
     )
     return decide(fits, CAUSES, {True: fitter, False: fitter}, failed)
 
@@ -97,6 +104,7 @@ def test_deviations_that_repeat_beside_a_cause_count_by_their_share(left: float,
         deviating=lambda _fit: 2,
         misfit_cost=lambda fit: 150.0 if fit.cause is None else left,
         profile=lambda _fit: (1.0, 3.0),
+        model=range(5),
     )
     fits = [fit("", 0.0), fit("detent", 70.0)]
     assert decide(fits, CAUSES, {True: fitter, False: fitter}, 0).kind == kind
@@ -109,6 +117,15 @@ def test_nothing_beside_failures_and_repeated_deviations_is_healthy(how: dict[st
         assert found.kind not in ("consistent", "cannot_tell")
         assert found.findings
     assert judged([fit("", 0.0)], **how).kind == UNNAMED
+
+
+def test_two_shifts_of_which_one_failed_name_no_cause() -> None:
+    fits = [fit("", 0.0), fit("detent", 70.0)]
+    assert judged(fits, failed=1, shifts=3).kind == "named"
+    few = judged(fits, failed=1, shifts=2)
+    assert (few.kind, few.causes) == (UNNAMED, ())
+    assert few.findings[0] == "1 shift did not reach the gear commanded"
+    assert few.findings[1] == "2 shifts cannot tell one cause from another"
 
 
 def test_one_deviation_does_not_repeat() -> None:
