@@ -50,8 +50,9 @@ class Steps:
 
     farthest_sd: no quantity is tried farther out; dampings: of the steps tried at once; short: share of an
     undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
-    passing: share of draws in which a cone stops nothing; centrings: iterations of centring; informed: share of a load's variance that a shift leaves at most; impossible: cost of a shift that cannot be simulated. stuck: cost beyond the median from which a shift
-    begins anew, at most `freed` of them at once, each from so many starts, the best of so many draws, with so
+    passing: share of draws in which a cone stops nothing; centrings: iterations of centring; informed: share
+    of a load's variance that a shift leaves at most if its spread is estimated with it; impossible: cost of a
+    shift that cannot be simulated. stuck: cost beyond the median from which a shift begins anew, at most `freed` of them at once, each from so many starts, the best of so many draws, with so
     many rounds of settling; freeing: cost that it must gain on where it was.
     """
 

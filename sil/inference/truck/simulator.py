@@ -113,19 +113,16 @@ class ShiftModel:
         return model
 
     def actuator(self, cause: Cause | None, size: float, supply: float = 1.0) -> Actuator:
-        """Return the actuator with a cause of a size in typical ones, at a share of the usual supply if it acts by that."""
+        """Return the actuator with a cause of a size in typical ones, set at a share of the usual supply."""
         key = ("" if cause is None else cause.name, size, supply)
         if key not in self._actuators:
             if len(self._actuators) > 4000:
                 self._actuators.clear()
             setup = self._healthy.copy()
             if cause is not None:
-                usual_pa = setup.p.p_supply
-                if cause.is_by_supply:
-                    setup.p.p_supply *= supply
+                setup.p.p_supply *= supply
                 cause.effect.apply(setup, cause.effect.on_run(cause.values(size)))
-                if cause.is_by_supply:
-                    setup.p.p_supply = usual_pa
+                setup.p.p_supply /= supply
             modes = fresh_modes(LENGTH, setup.conditions.loads())
             modes.line = 1 if setup.has_line else 0
             self._actuators[key] = Actuator(setup, modes.array[: Modes.size])
@@ -142,12 +139,10 @@ class ShiftModel:
         self.strokes += len(which)
         at, acts = self.layout.at, self.acts[which]
         amounts = np.where(acts, amounts, 0.0)
-        every = np.broadcast_to(sizes, len(which)).tolist()
-        if cause is not None and cause.is_by_supply:
-            pairs = zip(every, self._supply[which].tolist(), strict=True)
-            each = [self.actuator(cause, size, supply) for size, supply in pairs]
-        else:
-            each = [self.actuator(cause, size) for size in every]
+        is_by_supply = cause is not None and cause.is_by_supply
+        supplies = self._supply[which] if is_by_supply else np.ones(len(which))
+        pairs = zip(np.broadcast_to(sizes, len(which)).tolist(), supplies.tolist(), strict=True)
+        each = [self.actuator(cause, *pair) for pair in pairs]
         packed = self._packed(which, amounts, each)
         p = Parameters(packed)
         starts = np.array([self.shifts[k].start for k in which])
