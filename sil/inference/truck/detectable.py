@@ -30,8 +30,8 @@ class Tested:
 
     sure: standard deviations of the evidence for 90 % certainty; separable: chi squared by which two causes
     differ that can be told apart, three standard deviations; largest_rival: size up to which another cause
-    is tried: three deviations of a size's prior; first: the first size by that of a linear model, growth to
-    the next, at most `tries` and up to `largest`; rounds of a fit, of each while the cause grows through its
+    is tried: three deviations of a size's prior; first: the first size by that of a linear model, and at least
+    `least`, growth to the next, at most `tries` and up to `largest`; rounds of a fit, of each while the cause grows through its
     `shares`; shifts: of more, so many are tested, each for its share; tiny: least information of a cause.
     """
 
@@ -39,6 +39,7 @@ class Tested:
     separable: float = 9.0
     largest_rival: float = 10.0
     first: float = 0.8
+    least: float = 0.25
     growth: tuple[float, float] = (1.25, 3.0)
     tries: int = 6
     largest: float = 20.0
@@ -98,7 +99,8 @@ def detectable_of(
     def noticed(k: int) -> float | None:
         information_kk = max(float(information[k, k]), TESTED.tiny)
         # a linear cause gains size^2 information / 2
-        size = TESTED.first * sqrt(2.0 * gain / information_kk) * (kept[k].sign or 1)
+        size = max(TESTED.first * sqrt(2.0 * gain / information_kk), TESTED.least)
+        size *= kept[k].sign or 1
         for _ in range(TESTED.tries):
             if kept[k].clipped(size) != size or abs(size) > TESTED.largest:
                 return None

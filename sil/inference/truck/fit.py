@@ -267,7 +267,8 @@ class Fitter:
         places: list[tuple[int, Ints, float]] = []
         for column, item in enumerate(layout.own):
             own = np.flatnonzero(model.acts[:, column])
-            if item.acts == "report" or not len(own) or not (shared or item.shift_sd):
+            is_known = item.acts == "report" or column in layout.of_trips
+            if is_known or not len(own) or not (shared or item.shift_sd):
                 continue
             # a cone that stops nothing has no slope: towards where it stops the stay it has a step
             for side in (1.0,) if item.name == "cone" else sides:
@@ -290,14 +291,18 @@ class Fitter:
         x, done = model.positions(
             np.concatenate(rows), np.concatenate(moved), fit.cause, np.concatenate(sizes)
         )
+        x, base = np.nan_to_num(x), np.nan_to_num(fit.position_m)
         out = np.zeros((n, x.shape[1], len(layout) + 1))
         first, number = 0, Counter(column for column, *_ in places)
         for column, own, by in places:
             last = first + len(own)
-            change = (x[first:last] - fit.position_m[own]) / by
-            change[~done[first:last]] = 0.0
-            out[own, :, column] += np.nan_to_num(change) / number[column]
+            change = (x[first:last] - base[own]) / (by * number[column])
+            out[own, :, column] += change * done[first:last, None]
             first = last
+        supply = layout.at["supply"]
+        for column in layout.of_trips if shared else ():  # the same pressure, in other units
+            ratio = layout.unit_sd[column] / layout.unit_sd[supply] * model.acts[:, column]
+            out[:, :, column] = out[:, :, supply] * ratio[:, None]
         out[:, :, layout.at["offset"]] = layout.unit_sd[layout.at["offset"]]
         out[:, :, layout.at["gain"]] = fit.position_m * layout.unit_sd[layout.at["gain"]]
         return out

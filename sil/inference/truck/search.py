@@ -30,7 +30,7 @@ from sil.inference.truck.fit import (
     Fitter,
 )
 from sil.inference.truck.gains import gains_of
-from sil.inference.truck.simulator import ShiftModel, trips_of
+from sil.inference.truck.simulator import TOLERANCE, ShiftModel, trips_of
 from sil.inference.workers import Stages, spread_out
 from sil.log_replay.recorded_shifts import RecordedShift
 
@@ -76,6 +76,8 @@ class Effort:
 
 
 EFFORT: Final = Effort()
+COARSE_TOLERANCE: Final = 1e-4
+"""Of the integrator in a first look, which allows for errors of 0.1 mm."""
 
 
 @dataclass
@@ -107,13 +109,15 @@ class Search:
 
         trips = trips_of(trips_from or shifts)
 
-        def fitters(own: Sequence[RecordedShift]) -> dict[bool, Fitter]:
+        def fitters(own: Sequence[RecordedShift], tolerance: float) -> dict[bool, Fitter]:
             return {
-                mounted: Fitter(ShiftModel(own, parameters, mounted, trips), noise_m)
+                mounted: Fitter(ShiftModel(own, parameters, mounted, trips, tolerance), noise_m)
                 for mounted in (True, False)
             }
 
-        return cls(fitters(shifts), fitters(few), first, causes, workers)
+        return cls(
+            fitters(shifts, TOLERANCE), fitters(few, COARSE_TOLERANCE), first, causes, workers
+        )
 
     def run(self, show: Show = no_progress) -> list[Fit]:
         """Return all hypotheses that were fitted in full, the healthy ones among them."""
