@@ -12,6 +12,7 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc.errors import InputError
 from plant.parameters import ParameterSet
 
 CYLINDER = {
@@ -59,7 +60,8 @@ class Spread:
         - the data sheet of a cylinder: `low` and `high` of its values, else `CYLINDER`
         - `repeatability.unit_...` of plant/parameters/nominal.toml
 
-        Of strokes: the rest of `repeatability`. Of a truck: `quantities` in truck/quantities.py.
+        Of strokes: the rest of `repeatability`. Of a truck: `quantities` in truck/quantities.py. Raises InputError
+        for rows of `posterior` that are no covariance.
         """
         is_cylinder = "cylinder.bore" in parameters
 
@@ -68,7 +70,11 @@ class Spread:
 
         sd = {name: parameters.value(path) for name, path in paths("repeatability.").items()}
         rows = {name: parameters.values(path) for name, path in paths("posterior.").items()}
-        root = posterior_root(list(rows.values()))
+        try:
+            root = posterior_root(list(rows.values()))
+        except ValueError:
+            expected = "expected its rows to the diagonal, as opc4 calibrate writes them"
+            raise InputError(f"{parameters.name}: posterior: no covariance; {expected}") from None
         if rows:
             unit = dict(zip(rows, np.sqrt(np.sum(root**2, axis=1)).tolist(), strict=True))
         elif is_cylinder:
@@ -105,10 +111,13 @@ class Spread:
 
 
 def posterior_root(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    """Return the Cholesky factor [n, n] of a covariance given by the rows of its lower triangle."""
+    """Return the Cholesky factor [n, n] of a covariance given by the rows of its lower triangle.
+
+    Raises ValueError for rows of other lengths, and of no covariance.
+    """
     lower = np.zeros((len(rows), len(rows)))
     for k, row in enumerate(rows):
-        lower[k, : k + 1] = row
+        lower[k, : k + 1] = np.reshape(row, k + 1)
     return np.asarray(np.linalg.cholesky(lower + np.tril(lower, -1).T))
 
 

@@ -32,6 +32,8 @@ from sil.inference.spread import Spread
 
 DIFFERENCE = 0.05
 """Step of the one-sided differences, in prior standard deviations of the quantity."""
+JUMP = 1e-4
+"""Share of its channel by which a number is not changed by a millionth of a quantity: a jump, which has no slope."""
 
 
 Moved = Callable[[str, float], Setup]
@@ -370,7 +372,12 @@ class TangentModel(CampaignModel):
             if rates is None or h == 0.0:
                 columns[name] = self.difference(k, base, partial(moved, name), step, central)
             else:
-                columns[name] = (self.numbers_of(k, other, states + h * rates, False) - base) / h
+                change = self.numbers_of(k, other, states + h * rates, False) - base
+                jumps = any(
+                    np.abs(part * channel.sd).max() > JUMP * np.abs(channel.measured).max()
+                    for channel, part in channel_parts(self.strokes[k], change)
+                )
+                columns[name] = np.zeros_like(base) if jumps else change / h
         return base, columns
 
 

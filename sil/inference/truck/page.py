@@ -24,7 +24,7 @@ from sil.inference.report import (
 from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.truck.detectable import Detectable
 from sil.inference.truck.diagnosis import TruckDiagnosis
-from sil.inference.truck.verdict import Hypothesis
+from sil.inference.truck.verdict import MIN_SHIFTS, Hypothesis
 from sil.log_replay.recorded_shifts import LEAD_S
 from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.picture import save
@@ -44,10 +44,13 @@ def reported(diagnosis: TruckDiagnosis) -> list[ReportedCause]:
         effect, name = cause.effect, cause.parameter.name
         own = {name: interval(item)}
         gain = item.fit.evidence - healthy.fit.evidence
+        before, after = (f"{fit.noise_factor:.2f}" for fit in (healthy.fit, item.fit))
+        noise = (
+            f", and the noise that is left falls from {before} to {after} times the expected one"
+        )
         text = (
             f"{effect.what}: {name} {own[name]}; over {counted(len(diagnosis.shifts), 'shift')} it gains "
-            f"{gain:.1f} in log evidence, and the noise that is left falls from "
-            f"{healthy.fit.noise_factor:.2f} to {item.fit.noise_factor:.2f} times the expected one"
+            f"{gain:.1f} in log evidence{noise if after != before else ''}"
         )
         ids = {other.fit.id for other in diagnosis.verdict.causes} - {cause.id}
         if alike := [name for name in alike_of(diagnosis, cause.id) if name in ids]:
@@ -163,7 +166,9 @@ def headline_of(diagnosis: TruckDiagnosis, causes: list[ReportedCause]) -> str:
     """Return the one sentence that a reader needs first; shifts that failed stand before it."""
     first = diagnosis.findings[0] if diagnosis.findings else ""
     if diagnosis.kind == UNNAMED:
-        return f"Something is wrong: {first}; no cause of the catalogue explains it."
+        few = len(diagnosis.shifts) < MIN_SHIFTS
+        why = "too few shifts to tell why" if few else "no cause of the catalogue explains it"
+        return f"Something is wrong: {first}; {why}."
     seen = seen_sentence(
         (i.cause.id, i.value, i.cause.parameter.neutral, i.cause.parameter.unit)
         for i in noticed_of(diagnosis)

@@ -227,13 +227,13 @@ class ShiftModel:
                 rise_ns, fall_ns = (500_000 * steps[row] + 250_000).tolist()
                 near = replace(setups[0].timing, rise_ns=rise_ns, fall_ns=fall_ns)
                 rows = switch_schedule(self.shifts[which[row]].commands, near, 3)
-                moves = [(at / NS_PER_S, chamber, u, 0.0) for at, chamber, u in rows]
-                self._moves[key] = np.array(moves).reshape(-1, 4)
+                timed = [(at / NS_PER_S, chamber, u, 0.0) for at, chamber, u in rows]
+                self._moves[key] = np.array(timed).reshape(-1, 4)
             own.append(self._moves[key])
         table = np.zeros((len(own), max(map(len, own)), 4))
         table[:, :, 0] = np.inf
-        for row, moves in zip(table, own, strict=True):
-            row[: len(moves)] = moves
+        for place, moves in zip(table, own, strict=True):
+            place[: len(moves)] = moves
         switches = table[of_key]
         switches[:, :, 0] += np.where(switches[:, :, 2] > 0.5, later_s[:, :1], later_s[:, 1:])
         order = np.argsort(switches[:, :, 0], axis=1, kind="stable")

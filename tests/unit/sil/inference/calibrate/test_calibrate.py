@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from plant.batch.prediction import Predictor
 from plant.parameters import ParameterSet, load
 from sil.campaign.campaign import load_campaign
 from sil.cli import main
 from sil.inference.calibrate.calibration import StrokeCalibration, calibrate
 from sil.inference.calibrate.output import model_text, strokes_figure, write_page
+from sil.inference.campaign.checks import observed
+from sil.inference.campaign.model import model_of
 from sil.inference.spread import Spread
 from tests.conftest import ROOT, run_opc4
 from tests.support.second_cylinder import drawn, faulty, write_campaign, write_sheet
@@ -35,8 +38,13 @@ def calibrated() -> StrokeCalibration:
 
 @pytest.fixture(scope="module")
 def mine(calibrated: StrokeCalibration, tmp_path_factory: pytest.TempPathFactory) -> ParameterSet:
-    path = tmp_path_factory.mktemp("calibrated") / "mine.toml"
-    path.write_text(model_text(calibrated), encoding="utf-8")
+    return load_model(calibrated, tmp_path_factory.mktemp("calibrated"))
+
+
+def load_model(result: StrokeCalibration, folder: Path) -> ParameterSet:
+    """Write what was calibrated, and load it."""
+    path = folder / "mine.toml"
+    path.write_text(model_text(result), encoding="utf-8")
     return load(str(path))
 
 
@@ -114,11 +122,11 @@ def test_a_leak_is_found_with_the_calibrated_model(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 11])
+@pytest.mark.parametrize("seed", [7, 11, 17])
 def test_walls_of_one_time_constant_are_fitted_from_a_data_sheet_that_is_a_third_off(
     seed: int, tmp_path: Path
 ) -> None:
-    """Valves of 11 close 17 ms sooner than usual."""
+    """Valves of 11 close 17 ms sooner than usual; two strokes of 17 jump with what they depend on."""
     rng = np.random.default_rng(seed)
     unit = drawn(rng)
     healthy = write_campaign(unit, tmp_path / "healthy", rng)
@@ -128,10 +136,49 @@ def test_walls_of_one_time_constant_are_fitted_from_a_data_sheet_that_is_a_third
     assert all(channel.misfit.rms < 1.6 for channel in result.channels.values())
     values = {path.partition(".")[2]: item.value for path, item in result.values.items()}
     assert values["wall_ends"] < 0.05 and values["wall_density"] == pytest.approx(1.0, abs=0.03)
+    assert values["mass"] == pytest.approx(unit.mass, rel=0.01)
     assert values["kappa"] == pytest.approx(1.4, abs=0.005)
     truth = {"dead_volume_1": unit.dead_1, "dead_volume_2": unit.dead_2, "valve_cda_in": unit.c_in}
     for name, true in truth.items():
         assert values[name] == pytest.approx(true, rel=0.01), name
+    Spread.of(load_model(result, tmp_path))
+
+
+def test_a_number_that_jumps_has_no_slope(monkeypatch: pytest.MonkeyPatch) -> None:
+    sheet = load(str(EXAMPLE / "data_sheet.toml"))
+    strokes, _findings = observed(load_campaign(EXAMPLE / "healthy"), sheet)
+    model = model_of(strokes[:1], Spread.of(sheet))
+    shared, scatter = np.zeros(len(model.layout(()).names)), np.zeros(len(model.scatter))
+    plain = model.linearise(0, shared, scatter, ())
+    moves = Predictor.derivatives
+
+    def jumping(self, setup, moved, steps, columns=None, tolerance=1e-6):  # type: ignore[no-untyped-def]
+        states, rates = moves(self, setup, moved, steps, columns, tolerance)
+        rates[0][-1] += 0.01 / steps[0]  # m: as if the stroke ended elsewhere
+        return states, rates
+
+    monkeypatch.setattr(Predictor, "derivatives", jumping)
+    jumped = model.linearise(0, shared, scatter, ())
+    (changed,) = np.flatnonzero((jumped.shared != plain.shared).any(axis=0))
+    assert plain.shared[:, changed].any() and not jumped.shared[:, changed].any()
+
+
+@pytest.mark.parametrize("row", ["[2e-4, 1e-4]", "[1e-4]"])
+def test_rows_that_are_no_covariance_are_one_line(row: str, tmp_path: Path) -> None:
+    rows = f"""
+[posterior]
+friction = {{ value = [1e-4], unit = "1", source = "covariance with friction" }}
+mass = {{ value = {row}, unit = "1", source = "covariance with friction, mass" }}
+"""
+    sheet = (EXAMPLE / "data_sheet.toml").read_text(encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(sheet + rows, encoding="utf-8")
+    words = [str(EXAMPLE / "today"), "--model", "mine.toml", "--out", "d", "--quiet"]
+    done = run_opc4(tmp_path, "diagnose", *words)
+    assert done.returncode == 2 and not (tmp_path / "d").exists()
+    assert done.stderr == (
+        "opc4 diagnose: mine.toml: posterior: no covariance; expected its rows to the diagonal, "
+        "as opc4 calibrate writes them\n"
+    )
 
 
 @pytest.mark.slow

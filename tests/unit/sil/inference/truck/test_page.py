@@ -51,7 +51,7 @@ def test_a_named_cause_is_a_model_and_a_page(
     assert cause["parameters"]["delay_s"] == {
         "value": pytest.approx(0.006), "low": pytest.approx(0.003), "high": pytest.approx(0.009), "unit": "s",
     }  # fmt: skip
-    assert "gains 20.0 in log evidence" in cause["evidence"]
+    assert cause["evidence"].endswith("gains 20.0 in log evidence")
     assert values["headline"] == "Valves open 6.0 ms late (3.0 to 9.0 ms)."
     assert values["campaign"] == "a.log and 1 more"
     assert values["rivals"] == [["sensor_delay", "valve_open_delay"]]
@@ -87,7 +87,10 @@ def test_failed_shifts_stand_before_a_cause(
     found = diagnosis_of("named", [late, healthy], fitter, failing)
     assert as_json(found, ["a.log"], {})["headline"].startswith("1 shift failed. Valves open")
     found = replace(diagnosis_of("unnamed", [healthy], fitter, failing), kind="unnamed")
-    assert as_json(found, ["a.log"], {})["headline"].startswith("Something is wrong: of its own;")
+    said = as_json(found, ["a.log"], {})["headline"]
+    assert said == "Something is wrong: of its own; no cause of the catalogue explains it."
+    said = as_json(replace(found, shifts=tuple(failing[:2])), ["a.log"], {})["headline"]
+    assert said == "Something is wrong: of its own; too few shifts to tell why."
 
 
 def test_what_a_variant_fixes_is_in_the_model(
