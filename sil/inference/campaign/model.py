@@ -33,7 +33,7 @@ from sil.inference.spread import Spread
 DIFFERENCE = 0.05
 """Step of the one-sided differences, in prior standard deviations of the quantity."""
 JUMP = 1e-4
-"""Share of its channel by which a number is not changed by a millionth of a quantity: a jump, which has no slope."""
+"""Share of its channel by which no number follows a millionth of a quantity, or 20 ns: a jump, which has no slope."""
 
 
 Moved = Callable[[str, float], Setup]
@@ -337,7 +337,7 @@ def _delay_ns(setup: Setup, instant: str) -> int:
 class TangentModel(CampaignModel):
     """The campaign's model for strokes compared by external records alone, with derivatives along their own steps.
 
-    `Predictor.derivatives` moves every quantity by a millionth in one call, events included.
+    `Predictor.derivatives` moves every quantity by a millionth or 20 ns in one call, events included.
     """
 
     has_tangents = True
@@ -355,7 +355,8 @@ class TangentModel(CampaignModel):
         sizes, setups = [], []
         for name, step in steps.items():
             is_delay = name in ("rise", "fall")
-            h = 20e-9 if is_delay else float(np.copysign(MOVE, step))
+            is_time = is_delay or name == "gauge_lag"
+            h = 20e-9 if is_time else float(np.copysign(MOVE, step))
             setups.append(moved(name, h))
             if is_delay:
                 h = 1e-9 * (_delay_ns(setups[-1], name) - _delay_ns(setup, name))
