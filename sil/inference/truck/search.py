@@ -30,7 +30,7 @@ from sil.inference.truck.fit import (
     Fitter,
 )
 from sil.inference.truck.gains import gains_of
-from sil.inference.truck.simulator import TOLERANCE, ShiftModel, trips_of
+from sil.inference.truck.simulator import ShiftModel, trips_of
 from sil.inference.workers import Stages, spread_out
 from sil.log_replay.recorded_shifts import RecordedShift
 
@@ -43,7 +43,7 @@ class Effort:
     fitted first; seeds: of random quantities from which it is fitted again unless it explains the shifts.
     Near it: causes that gain at least least_gain of log evidence by secants are fitted, at most `near`,
     near_fitted of them in full. To some shifts (wide): sizes tried first, in the healthy truck if at most
-    `slight`; first_shifts that a first look takes; variants of an effect; causes of which sizes around the
+    `slight`; first_shifts that a first look takes, tolerance of its integrator; variants of an effect; causes of which sizes around the
     first are tried, and, of each first size, fitted in full. hopeless: cost
     behind the best from which a coarse fit is not continued, of which a shift is at most most_of_shift; behind, completed: cost, and number of causes,
     from which a full one is not, before its last stages, far_behind: before the very last. crossed: causes fitted again in the truck of the
@@ -59,6 +59,7 @@ class Effort:
     near_fitted: int = 6
     first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 15.0)
     first_shifts: int = 6
+    tolerance: float = 1e-4
     slight: float = 3.0
     variants: int = 3
     wide_varied: int = 12
@@ -76,8 +77,6 @@ class Effort:
 
 
 EFFORT: Final = Effort()
-COARSE_TOLERANCE: Final = 1e-4
-"""Of the integrator in a first look, which allows for errors of 0.1 mm."""
 
 
 @dataclass
@@ -109,15 +108,14 @@ class Search:
 
         trips = trips_of(trips_from or shifts)
 
-        def fitters(own: Sequence[RecordedShift], tolerance: float) -> dict[bool, Fitter]:
+        def fitters(own: Sequence[RecordedShift], **how: float) -> dict[bool, Fitter]:
             return {
-                mounted: Fitter(ShiftModel(own, parameters, mounted, trips, tolerance), noise_m)
+                mounted: Fitter(ShiftModel(own, parameters, mounted, trips, **how), noise_m)
                 for mounted in (True, False)
             }
 
-        return cls(
-            fitters(shifts, TOLERANCE), fitters(few, COARSE_TOLERANCE), first, causes, workers
-        )
+        coarse = fitters(few, tolerance=EFFORT.tolerance)
+        return cls(fitters(shifts), coarse, first, causes, workers)
 
     def run(self, show: Show = no_progress) -> list[Fit]:
         """Return all hypotheses that were fitted in full, the healthy ones among them."""
