@@ -33,7 +33,7 @@ from sil.inference.spread import Spread
 DIFFERENCE = 0.05
 """Step of the one-sided differences, in prior standard deviations of the quantity."""
 JUMP = 1e-4
-"""Share of its channel by which no number follows a millionth of a quantity, or 20 ns: a jump, which has no slope."""
+"""Share of its channel's largest by which no number follows a millionth of a quantity, or 20 ns: jumps have no slope."""
 
 
 Moved = Callable[[str, float], Setup]
@@ -374,9 +374,10 @@ class TangentModel(CampaignModel):
                 columns[name] = self.difference(k, base, partial(moved, name), step, central)
             else:
                 change = self.numbers_of(k, other, states + h * rates, False) - base
+                parts = (channel_parts(self.strokes[k], numbers) for numbers in (change, base))
                 jumps = any(
-                    np.abs(part * channel.sd).max() > JUMP * np.abs(channel.measured).max()
-                    for channel, part in channel_parts(self.strokes[k], change)
+                    np.abs(by).max() > JUMP * np.abs(level).max()
+                    for (_, by), (_, level) in zip(*parts, strict=True)
                 )
                 columns[name] = np.zeros_like(base) if jumps else change / h
         return base, columns

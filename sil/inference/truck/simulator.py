@@ -156,8 +156,9 @@ class ShiftModel:
         setups = [item.setup for item in actuators]
         packed = self._packed(which, amounts, np.array([s.p.array for s in setups])[of_pair])
         initial = np.empty((len(which), LengthState.size))
-        for gear in set(self._starts.tolist()):
-            rows = self._starts[which] == gear
+        starts = self._starts[which]
+        for gear in set(starts.tolist()):
+            rows = starts == gear
             initial[rows] = initial_state(
                 LENGTH, Parameters(packed[rows]), position=gear, charged=()
             )

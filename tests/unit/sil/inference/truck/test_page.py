@@ -52,6 +52,9 @@ def test_a_named_cause_is_a_model_and_a_page(
         "value": pytest.approx(0.006), "low": pytest.approx(0.003), "high": pytest.approx(0.009), "unit": "s",
     }  # fmt: skip
     assert cause["evidence"].endswith("gains 20.0 in log evidence")
+    noisier = diagnosis_of("named", [late, replace(healthy, noise_factor=2.0)], fitter, shifts)
+    (cause,) = as_json(noisier, ["a.log"], {})["causes"]
+    assert "falls from 2.00 to 1.00 times the expected one" in cause["evidence"]
     assert values["headline"] == "Valves open 6.0 ms late (3.0 to 9.0 ms)."
     assert values["campaign"] == "a.log and 1 more"
     assert values["rivals"] == [["sensor_delay", "valve_open_delay"]]
