@@ -74,6 +74,8 @@ class TextReader(ABC):
 
     def __iter__(self) -> Iterator[Batch]:
         for chunk in chunks(self._source):
+            if chunk.text.isspace():
+                continue
             batch = None if chunk.unterminated else self._quick(chunk)
             batch = batch or self._each_line(chunk)
             if batch.frames:
