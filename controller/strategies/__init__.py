@@ -68,9 +68,9 @@ def one_chamber(chamber: Chamber, duty: float) -> Duties:
 class Strategy(abc.ABC):
     """Decides the duties while a position is pushed for and until it is confirmed.
 
-    The firmware decides when to push, what is confirmed and what follows, and refuses duties that fill backward and
-    forward together (an internal fault). A strategy keeps a bounded state, does bounded work per call, and reads no
-    clock.
+    The firmware decides when to push, what is confirmed and what follows. It refuses duties that fill backward and
+    forward together, or one of them sooner than shift.interlock_s and a period after the other (`Interlock.allows`): an
+    internal fault. A strategy keeps a bounded state, does bounded work per call, and reads no clock.
     """
 
     Parameters: ClassVar[type[Struct]] = Settings

@@ -66,14 +66,12 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
         low = upstream_pa
         sign = -1.0
     ratio = low / high
-    critical = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
-    if ratio <= critical:
+    edge = min(ratio, 0.999)
+    density = edge ** (1.0 / gamma)
+    if 2.0 * density >= (gamma + 1.0) * edge:  # the root below rises no further
         value = sqrt(gamma * (2.0 / (gamma + 1.0)) ** ((gamma + 1.0) / (gamma - 1.0)))
     else:
-        edge = min(ratio, 0.999)
-        value = sqrt(
-            2.0 * gamma / (gamma - 1.0) * (edge ** (2.0 / gamma) - edge ** ((gamma + 1.0) / gamma))
-        )
+        value = sqrt(2.0 * gamma / (gamma - 1.0) * density * (density - edge))
         if ratio > 0.999:
             share = (1.0 - ratio) / 0.001
             value *= share * (1.25 - 0.25 * share * share)

@@ -43,7 +43,10 @@ class Window(NamedTuple):
 class _Fault(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
 ):
-    """Acts from `start_s` to before `end_s`; without an end, for ever."""
+    """Acts from `start_s` to before `end_s`; without an end, for ever.
+
+    What the rules excuse while it acts: `sil.simulation.circumstances`.
+    """
 
     start_s: Instant = 0.0
     """Time from which the fault acts."""

@@ -1,4 +1,7 @@
-"""The local bus for python-can: `can.Bus(interface="opc4local", channel="NAME")`."""
+"""The local bus for python-can: `can.Bus(interface="opc4local", channel="NAME")`.
+
+Its socket, which needs no root: `address`; what passes frames on: `hub`.
+"""
 
 from __future__ import annotations
 
