@@ -64,6 +64,8 @@ class Thresholds:
     """Least gain of a cause in standard errors over the groups held out, and the like (force rigs)."""
     min_column_share: float = 0.05
     """Share of a cause's force that the body's own parameters cannot make up: else it is not judged."""
+    max_removable_share: float = 0.1
+    """A residual of which an acceptable cause removes this share is not noise (force rigs)."""
     max_value_ratio: float = 2.0
     """A cause keeps its value within this factor, whatever describes the residual, in each half of the samples."""
     min_described_share: float = 0.2

@@ -206,8 +206,9 @@ class ForceDiagnosis:
         return Gain(files, rms, plain.over_noise, leader.over_noise)
 
     def detectable(self) -> list[dict[str, Any]]:
-        """Return the smallest size of each cause that would have gained enough and exceeded its own error."""
+        """Return the smallest size of each cause that would have gained and removed enough and exceeded its own error."""
         needed = LIMITS.needed_gain(len(self.plain.squares))
+        removed = LIMITS.max_removable_share / (1.0 - LIMITS.max_removable_share)
         sizes: dict[str, dict[str, Any]] = {}
         for item in self.singles:
             group = item.groups[0]
@@ -218,7 +219,7 @@ class ForceDiagnosis:
             sizes[group.id] = {
                 "id": group.id,
                 "parameter": group.form.parameter,
-                "size": max((2.0 * needed / item.count) ** 0.5 * noise_n, least),
+                "size": max(max(2.0 * needed / item.count, removed) ** 0.5 * noise_n, least),
                 "unit": self._unit(group.form.unit),
             }
         return list(sizes.values())
@@ -239,7 +240,7 @@ class ForceDiagnosis:
             self.findings(),
             f"a cause gains at least 15 and 1.5 a group of strokes in log evidence on held-out strokes, "
             f"{LIMITS.min_standard_errors:g} standard errors over them, and has a physical sign; explained: a residual of at "
-            f"most {LIMITS.max_residual_ratio:g} times the noise; measured by python -m tests.bench bodies",
+            f"most {LIMITS.max_residual_ratio:g} times the noise, of which none removes {LIMITS.max_removable_share:.0%}; measured by python -m tests.bench bodies",
             headline=self.headline,
             explains=str(self.gain),
             hypotheses=[

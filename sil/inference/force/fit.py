@@ -42,7 +42,8 @@ class ForceFit(Explanation):
 
     values, deviations: [k] of the body's and the groups' columns; squares: held-out sums of each group
     of strokes [N^2]; noise_n: expected rms of its residual [N]; count: independent samples; is_robust:
-    its causes come out alike whatever describes its residual.
+    its causes come out alike whatever describes its residual; removable: share of its squares that an
+    acceptable cause removes.
     """
 
     groups: tuple[TermGroup, ...]
@@ -56,6 +57,12 @@ class ForceFit(Explanation):
     count: float = 1.0
     probability: float = 0.0
     is_robust: bool = False
+    removable: float = 0.0
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise explains what it leaves: the noise is an estimate, of which no cause removes much."""
+        return self.whole.is_noise and self.removable < LIMITS.max_removable_share
 
     @property
     def shared_with_unnamed(self) -> float:
@@ -414,8 +421,11 @@ def choose(record: Recorded) -> ForceChoice:
     by_names = {frozenset(item.names): item for item in tried}
     judged = [item for item in tried if acceptable(item, by_names)]
     judged.sort(key=lambda item: item.score)
+    plain = tried[0]
     while True:
-        verdict = decide(judged, len(tried[0].squares))
+        least = min(item.squares.sum() for item in judged)
+        plain.removable = 1.0 - float(least / (plain.squares.sum() + 1e-300))
+        verdict = decide(judged, len(plain.squares))
         if all(has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):
             return ForceChoice(bank, tried, judged, verdict)
         judged.remove(verdict.leader)

@@ -12,6 +12,7 @@ from sil.cli import main
 from sil.inference.force.checks import odd_channels
 from sil.inference.force.fit import Bank, acceptable, gain_in_errors, has_one_value, jackknife
 from sil.inference.force.record import read_motion, smoothed
+from sil.inference.thresholds import LIMITS
 from tests.support.force_rig import HEAD, changed, diagnose_force, rig, written
 
 
@@ -53,6 +54,16 @@ def test_extra_friction_is_named_with_its_size(tmp_path, name, change, value) ->
     assert plain["causes"][0]["probability"] > 0.9
     force = plain["gain"]["channels"]["force_n"]
     assert force["after"] < force["before"]
+
+
+def test_what_would_have_been_seen_is_seen(tmp_path) -> None:
+    sizes = {i["id"]: i["size"] for i in diagnose_force(rig(tmp_path / "a")).detectable()}
+    kinds = {"friction_asymmetry": "faster_n_s_m", "stribeck": "stribeck_n"}
+    for name, keyword in (kinds | {"seal_pressure_friction": "per_pa"}).items():
+        found = diagnose_force(rig(tmp_path / keyword, **{keyword: 1.2 * sizes[name]}))
+        # within what an estimate of the noise may be off by
+        assert found.plain.over_noise < LIMITS.max_residual_ratio
+        assert found.verdict == "named" and found.verdict_.claimed == (name,)
 
 
 def test_friction_that_grows_at_rest_is_refused(tmp_path) -> None:
