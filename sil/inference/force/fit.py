@@ -43,7 +43,7 @@ class ForceFit(Explanation):
     values, deviations: [k] of the body's and the groups' columns; squares: held-out sums of each group
     of strokes [N^2]; noise_n: expected rms of its residual [N]; count: independent samples; is_robust:
     its causes come out alike whatever describes its residual; removable: share of its squares that an
-    acceptable cause removes.
+    acceptable cause surely removes.
     """
 
     groups: tuple[TermGroup, ...]
@@ -423,7 +423,8 @@ def choose(record: Recorded) -> ForceChoice:
     judged.sort(key=lambda item: item.score)
     plain = tried[0]
     while True:
-        least = min(item.squares.sum() for item in judged)
+        sure = 2.0 * LIMITS.min_standard_errors
+        least = min(i.squares.sum() for i in judged if i is plain or gain_in_errors(i, plain) > sure)
         plain.removable = 1.0 - float(least / (plain.squares.sum() + 1e-300))
         verdict = decide(judged, len(plain.squares))
         if all(has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):

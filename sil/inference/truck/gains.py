@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/inference/truck/test_gains.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,11 +34,13 @@ class Beside:
     marginal: Floats
 
     @classmethod
-    def of(cls, fitter: Fitter, fit: Fit) -> Beside:
-        """Linearise a fit by central differences."""
+    def of(cls, fitter: Fitter, fit: Fit, fixed: bool = False) -> Beside:
+        """Linearise a fit by central differences; fixed: the size of its cause is not free."""
         slopes = np.clip(fitter.derivatives(fit, 0.3, (1.0, -1.0)), -STEEPEST_M, STEEPEST_M)
         variance = fitter.variance(FINE_M, fit.noise_factor)
         residual, weight = fitter.weighted_residual(fit, variance)
+        if fixed:
+            fit = replace(fit, cause=None)
         system = fitter.system(fit, slopes, variance)
         shared = len(fitter.layout) + (fit.cause is not None)
         own = fitter.own_derivatives(slopes)
@@ -84,6 +86,23 @@ def gains_of(fitter: Fitter, fit: Fit, causes: Sequence[Cause]) -> list[tuple[fl
                 best = max(best, (0.5 * gradient * there, there))
         gains.append(best)
     return gains
+
+
+def likeness(
+    fitter: Fitter, fit: Fit, causes: Sequence[Cause], sizes: Sequence[float]
+) -> list[tuple[float, float]]:
+    """Return of every cause how far it stays behind in log evidence in place of the fit's own, and its size.
+
+    Of the sizes given, in typical ones, the one that comes nearest, all else free to make up for what is left.
+    """
+    beside = Beside.of(fitter, fit, fixed=True)
+    rows = []
+    for cause in causes:
+        tried = cause.sizes(*sizes)
+        moves = secants(fitter, fit, cause, tried) * np.array(tried)[:, None, None]
+        matrix, gradients = beside.information(moves)
+        rows.append(min(zip(0.5 * np.diag(matrix) - gradients, tried, strict=True)))
+    return rows
 
 
 def secants(fitter: Fitter, fit: Fit, cause: Cause, sizes: Sequence[float]) -> Floats:

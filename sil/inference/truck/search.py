@@ -11,7 +11,7 @@ Checked by: tests/unit/sil/inference/truck/test_search.py
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -29,7 +29,7 @@ from sil.inference.truck.fit import (
     Fit,
     Fitter,
 )
-from sil.inference.truck.gains import gains_of
+from sil.inference.truck.gains import gains_of, likeness
 from sil.inference.truck.simulator import ShiftModel, trips_of
 from sil.inference.workers import Stages, spread_out
 from sil.log_replay.recorded_shifts import RecordedShift
@@ -46,8 +46,8 @@ class Effort:
     `slight`; first_shifts that a first look takes, tolerance of its integrator; variants of an effect; causes of which sizes around the
     first are tried, and, of each first size, fitted in full. hopeless: cost
     behind the best from which a coarse fit is not continued, of which a shift is at most most_of_shift; behind, completed: cost, and number of causes,
-    from which a full one is not, before its last stages, far_behind: before the very last. crossed: causes fitted again in the truck of the
-    leading one; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
+    from which a full one is not, before its last stages, far_behind: before the very last. crossed: causes fitted in the truck of the
+    leading one, of like_sizes at which they are likest; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
     leading: causes contested by other variants, and by a healthy truck from where they are.
     """
 
@@ -69,7 +69,8 @@ class Effort:
     behind: float = 25.0
     far_behind: float = 12.0
     completed: int = 10
-    crossed: int = 8
+    crossed: int = 5
+    like_sizes: tuple[float, ...] = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0)
     contesting: int = 6
     contest: float = 20.0
     later_sizes: tuple[float, ...] = (0.65, 0.8, 1.25, 1.6)
@@ -336,9 +337,9 @@ class Search:
         jobs = [(replace(first[name], cause=None, size=0.0), 9) for name in leading[:2]]
         best = full[0]
         following = _best_of(full, EFFORT.crossed, lambda fit: -fit.evidence, np.inf)[1:]
-        jobs += [
-            (replace(best, cause=fit.cause, size=fit.size), 8) for fit in following if fit.cause
-        ]
+        crossed = [(fit.cause, fit.size) for fit in following if fit.cause]
+        crossed += self._like(best, {fit.id for fit in full})[: EFFORT.crossed - len(crossed)]
+        jobs += [(replace(best, cause=cause, size=size), 8) for cause, size in crossed]
         tried = {fit.cause for fit in full}
         for cause in self.causes:
             if cause.id in leading and cause not in tried:
@@ -347,6 +348,16 @@ class Search:
         other = self.fitters[not best.mounted]
         jobs.append((replace(best, mounted=not best.mounted, each=best.each * other.mask), 8))
         return jobs
+
+    def _like(self, fit: Fit, fitted: Collection[str]) -> list[tuple[Cause, float]]:
+        """Return causes and sizes, the likest first, that could stand in for the cause of a fit in its truck."""
+        rows = likeness(self.fitters[fit.mounted], fit, self.causes, EFFORT.like_sizes)
+        order = sorted(zip(rows, self.causes, strict=True), key=lambda row: row[0][0])
+        best: dict[str, tuple[Cause, float]] = {}
+        for (_behind, size), cause in order:
+            if cause.id not in fitted:
+                best.setdefault(cause.id, (cause, size))
+        return list(best.values())
 
     def _without(self, fit: Fit) -> Fit:
         """Fit a healthy truck from exactly where the fit of a cause ended."""

@@ -61,7 +61,7 @@ def test_a_process_that_imported_a_unit_ends_without_a_complaint(
     units: dict[str, Path], what: str
 ) -> None:
     """pythonfmu3 alone aborts the plant's process at exit: its library frees a counter twice."""
-    for _ in range(50 if what == "plant" else 5):
+    for _ in range(15 if what == "plant" else 5):
         done = subprocess.run(
             [sys.executable, "-c", SIMULATE, str(units[what])], capture_output=True, text=True
         )
