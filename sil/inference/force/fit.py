@@ -424,7 +424,9 @@ def choose(record: Recorded) -> ForceChoice:
     plain = tried[0]
     while True:
         sure = 2.0 * LIMITS.min_standard_errors
-        least = min(i.squares.sum() for i in judged if i is plain or gain_in_errors(i, plain) > sure)
+        least = min(
+            i.squares.sum() for i in judged if i is plain or gain_in_errors(i, plain) > sure
+        )
         plain.removable = 1.0 - float(least / (plain.squares.sum() + 1e-300))
         verdict = decide(judged, len(plain.squares))
         if all(has_one_value(bank, verdict.leader, group) for group in verdict.leader.groups):

@@ -13,6 +13,7 @@ import numpy as np
 from sil.inference.problem import Floats
 from sil.inference.truck.causes import Cause
 from sil.inference.truck.fit import FINE_M, PRIORS, STEEPEST_M, Fit, Fitter
+from sil.inference.truck.simulator import Bools
 
 
 @dataclass(frozen=True)
@@ -93,20 +94,39 @@ def likeness(
 ) -> list[tuple[float, float]]:
     """Return of every cause how far it stays behind in log evidence in place of the fit's own, and its size.
 
-    Of the sizes given, in typical ones, the one that comes nearest, all else free to make up for what is left.
+    At these sizes, in typical ones, and linear between them, whichever comes nearest; all else is free to make up for
+    what is left.
     """
     beside = Beside.of(fitter, fit, fixed=True)
     rows = []
     for cause in causes:
-        tried = cause.sizes(*sizes)
-        moves = secants(fitter, fit, cause, tried) * np.array(tried)[:, None, None]
+        tried = np.sort(cause.sizes(*sizes))
+        moves, done = _moves(fitter, fit, cause, tried.tolist())
         matrix, gradients = beside.information(moves)
-        rows.append(min(zip(0.5 * np.diag(matrix) - gradients, tried, strict=True)))
+        low = np.arange(len(tried))
+        high = np.minimum(low + 1, len(tried) - 1)
+        left, across, right = matrix[low, low], matrix[low, high], matrix[high, high]
+        slope = left - across - gradients[low] + gradients[high]
+        share = np.clip(slope / np.maximum(left - 2.0 * across + right, 1e-12), 0.0, 1.0)
+        behind = 0.5 * left - gradients[low] - share * slope
+        behind += 0.5 * share**2 * (left - 2.0 * across + right)
+        whole = np.asarray(done.all(axis=1))
+        behind = np.where(whole[low] & whole[high], behind, np.inf)
+        best = int(np.argmin(behind))
+        size = tried[low] + share * (tried[high] - tried[low])
+        rows.append((float(behind[best]), float(size[best])))
     return rows
 
 
 def secants(fitter: Fitter, fit: Fit, cause: Cause, sizes: Sequence[float]) -> Floats:
     """Return by how much positions [sizes, shifts, pulses] move by a cause of sizes, for one typical size."""
+    moves, done = _moves(fitter, fit, cause, sizes)
+    slopes = np.where(done[..., None], moves, 0.0) / np.array(sizes)[:, None, None]
+    return np.asarray(np.clip(slopes, -STEEPEST_M, STEEPEST_M))
+
+
+def _moves(fitter: Fitter, fit: Fit, cause: Cause, sizes: Sequence[float]) -> tuple[Floats, Bools]:
+    """Return by how much positions [sizes, shifts, pulses] move to a cause of sizes, and where [sizes, shifts] that can be simulated."""
     assert fit.position_m is not None
     n = len(fitter.model)
     amounts = fitter.layout.amounts(fit.unit, fit.each)
@@ -116,6 +136,5 @@ def secants(fitter: Fitter, fit: Fit, cause: Cause, sizes: Sequence[float]) -> F
         cause,
         np.repeat(sizes, n),
     )
-    x = np.where(done[:, None], np.nan_to_num(x), np.tile(fit.position_m, (len(sizes), 1)))
-    slopes = (x.reshape(len(sizes), n, -1) - fit.position_m) / np.array(sizes)[:, None, None]
-    return np.asarray(np.clip(slopes, -STEEPEST_M, STEEPEST_M))
+    moves = np.nan_to_num(x).reshape(len(sizes), n, -1) - fit.position_m
+    return moves, done.reshape(len(sizes), n)

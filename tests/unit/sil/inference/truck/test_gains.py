@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sil.inference.truck.fit import Fit, Fitter
-from sil.inference.truck.gains import Beside, gains_of, secants
+from sil.inference.truck.fit import FINE_M, Fit, Fitter
+from sil.inference.truck.gains import Beside, gains_of, likeness, secants
 from tests.unit.sil.inference.truck.test_causes import only
 
 
@@ -34,3 +37,22 @@ def test_gains_have_physical_sizes(fitter: Fitter, usual: Fit) -> None:
     for cause, (gain, size) in zip(causes, gains_of(fitter, usual, causes), strict=True):
         assert gain >= 0.0 and (gain > 0.0) == (size != 0.0)
         assert size * cause.sign >= 0.0
+
+
+def test_what_is_like_a_narrow_hose(fitter: Fitter, usual: Fit) -> None:
+    hose, others = only("hose_droop"), ("leak_to_atmosphere", "piston_leak", "back_pressure")
+    truck = fitter.evaluated(replace(usual, cause=hose, size=12.0), FINE_M)
+    assert truck.position_m is not None
+    seen = copy.copy(fitter)
+    seen.position_m = truck.position_m
+    truck = seen.evaluated(truck, FINE_M)
+    sizes = (1.5, 3.0, 6.0, 12.0)
+    (itself, size), *rest = likeness(seen, truck, [hose, *map(only, others)], sizes)
+    assert itself == pytest.approx(0.0, abs=1e-6) and size == pytest.approx(12.0)
+    behind = [value for value, _ in rest]
+    assert 0.0 < behind[0] < 0.2 * min(behind[1:])
+    # between two sizes, with all else free
+    ((near, size),) = likeness(seen, replace(truck, size=12.0), [hose], (8.0, 15.0))
+    assert 0.0 <= near < 1.0 and 9.0 < size < 15.0
+    # a piston so free of the stay cannot be simulated
+    assert likeness(seen, truck, [only("free_play")], (24.0,))[0][0] == np.inf
