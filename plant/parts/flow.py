@@ -66,7 +66,7 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
         low = upstream_pa
         sign = -1.0
     ratio = low / high
-    edge = min(ratio, 0.999)
+    edge = min(max(ratio, 0.0), 0.999)
     density = edge ** (1.0 / gamma)
     if 2.0 * density >= (gamma + 1.0) * edge:  # the root below rises no further
         value = sqrt(gamma * (2.0 / (gamma + 1.0)) ** ((gamma + 1.0) / (gamma - 1.0)))

@@ -240,7 +240,7 @@ class ForceDiagnosis:
             self.findings(),
             f"a cause gains at least 15 and 1.5 a group of strokes in log evidence on held-out strokes, "
             f"{LIMITS.min_standard_errors:g} standard errors over them, and has a physical sign; explained: a residual of at "
-            f"most {LIMITS.max_residual_ratio:g} times the noise, of which none removes {LIMITS.max_removable_share:.0%}; measured by python -m tests.bench bodies",
+            f"most {LIMITS.max_residual_ratio:g} times the noise, of which no cause removes {LIMITS.max_removable_share:.0%}; measured by python -m tests.bench bodies",
             headline=self.headline,
             explains=str(self.gain),
             hypotheses=[

@@ -95,12 +95,15 @@ def likeness(
     """Return of every cause how far it stays behind in log evidence in place of the fit's own, and its size.
 
     At these sizes, in typical ones, and linear between them, whichever comes nearest; all else is free to make up for
-    what is left.
+    what is left. Infinitely far if it cannot be simulated, or has no such size.
     """
     beside = Beside.of(fitter, fit, fixed=True)
     rows = []
     for cause in causes:
         tried = np.sort(cause.sizes(*sizes))
+        if not len(tried):
+            rows.append((np.inf, 0.0))
+            continue
         moves, done = _moves(fitter, fit, cause, tried.tolist())
         matrix, gradients = beside.information(moves)
         low = np.arange(len(tried))

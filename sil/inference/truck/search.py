@@ -3,8 +3,8 @@
 A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What
 each cause would gain beside it, by secants with all else free, picks those fitted near it; unless a
 healthy truck explains the shifts, every cause is also fitted to some of them, slight ones in the healthy
-truck, larger ones in a usual one. The best are fitted again from other random quantities, healthy from where they are, and the leading
-causes in other variants, at other sizes and on the other mounting.
+truck, larger ones in a usual one. The best are fitted again from other random quantities, healthy from where they are, others
+that look like the leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting.
 Checked by: tests/unit/sil/inference/truck/test_search.py
 """
 
@@ -330,7 +330,7 @@ class Search:
     def _challengers(self, full: Sequence[Fit]) -> list[tuple[Fit, int]]:
         """Return what contests the leading hypothesis.
 
-        No cause, the next ones in its truck, other variants of the leading causes, the other mounting.
+        No cause; in its truck the next ones and the likest; other variants of the leading causes; the other mounting.
         """
         leading = list(dict.fromkeys(fit.id for fit in full))[: EFFORT.leading]
         first = {name: next(fit for fit in full if fit.id == name) for name in leading}
@@ -354,8 +354,8 @@ class Search:
         rows = likeness(self.fitters[fit.mounted], fit, self.causes, EFFORT.like_sizes)
         order = sorted(zip(rows, self.causes, strict=True), key=lambda row: row[0][0])
         best: dict[str, tuple[Cause, float]] = {}
-        for (_behind, size), cause in order:
-            if cause.id not in fitted:
+        for (behind, size), cause in order:
+            if behind < np.inf and cause.id not in fitted:
                 best.setdefault(cause.id, (cause, size))
         return list(best.values())
 

@@ -56,3 +56,5 @@ def test_what_is_like_a_narrow_hose(fitter: Fitter, usual: Fit) -> None:
     assert 0.0 <= near < 1.0 and 9.0 < size < 15.0
     # a piston so free of the stay cannot be simulated
     assert likeness(seen, truck, [only("free_play")], (24.0,))[0][0] == np.inf
+    # no size so small is tried
+    assert likeness(seen, truck, [hose], (0.1,)) == [(np.inf, 0.0)]
