@@ -174,6 +174,7 @@ class Fitter:
         self.speed_m_s: Floats = np.maximum(speed, 0.5 * beside)
         # pulses have kinks: with slopes of its own a hypothesis is some ten in log evidence off
         self.reference: Floats | None = None
+        self.healthy: Fit | None = None  # the likeliest, once it is known
 
     # --- costs
 
@@ -387,7 +388,7 @@ class Fitter:
             tried = self._tried(fit, trials, variance)
             best = min(tried, key=lambda trial: trial.cost)
             if best.cost >= fit.cost - least:
-                other = self._tried(fit, [self._loads_kept(fit, t) for t in trials], variance)
+                other = self._tried(fit, [self.with_loads_of(fit, t) for t in trials], variance)
                 pairs = zip(tried, other, strict=True)
                 best = min((self._joined(*pair) for pair in pairs), key=lambda t: t.cost)
             if best.cost < fit.cost - least:
@@ -414,14 +415,14 @@ class Fitter:
             for t, own_x, own in rows
         ]
 
-    def _loads_kept(self, fit: Fit, trial: Fit) -> Fit:
-        """Return a trial in which each shift has the loads of its gears as before."""
+    def with_loads_of(self, other: Fit, fit: Fit) -> Fit:
+        """Return a fit in which each shift has the loads of its gears as in another one."""
         columns = self.layout.differing[self.layout.of_gears]
         ratio = self.layout.unit_sd[columns] / self.layout.shift_sd[self.layout.of_gears]
-        each = trial.each.copy()
-        moved = ratio * (trial.unit - fit.unit)[columns]
-        each[:, self.layout.of_gears] = fit.each[:, self.layout.of_gears] - moved
-        return replace(trial, each=each * self.mask)
+        each = fit.each.copy()
+        moved = ratio * (fit.unit - other.unit)[columns]
+        each[:, self.layout.of_gears] = other.each[:, self.layout.of_gears] - moved
+        return replace(fit, each=each * self.mask)
 
     def _joined(self, one: Fit, other: Fit) -> Fit:
         """Return a trial with each shift as in the better one of two: cones and teeth stop it, or not."""
@@ -536,7 +537,7 @@ class Fitter:
         return cone, amount / self.layout.shift_sd[cone]
 
     def freed(self, fit: Fit, rng: Rng) -> Fit:
-        """Return a fit in which the shifts farthest off have begun anew from random loads, where that is better.
+        """Return a fit in which the shifts farthest off have begun anew from random loads, and a healthy truck's, where that is better.
 
         A shift may end in a minimum of its own, teeth that part too early, say, from which the truck's
         quantities do not lead it; what is shared stays as it is until all are fitted again. Its loads may
@@ -554,6 +555,8 @@ class Fitter:
         spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
         anew = alone.begun_anew(replace(fit, spread=spread), rng)
         anew.each[::starts] = fit.each[stuck]
+        if self.healthy is not None:
+            anew.each[1::starts] = self.with_loads_of(self.healthy, fit).each[stuck]
         anew = alone.evaluated(alone.settled(anew, STEPS.settling), FINE_M)
         assert anew.per_shift is not None
         cost = (anew.per_shift + _own_cost(anew.each, spread)).reshape(-1, starts)

@@ -3,7 +3,7 @@
 A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What
 each cause would gain beside it, by secants with all else free, picks those fitted near it; unless a
 healthy truck explains the shifts, every cause is also fitted to some of them, slight ones in the healthy
-truck, larger ones in a usual one. The best are fitted again from other random quantities, healthy from where they are, others
+truck, larger ones in a usual one with its loads. The best are fitted again from other random quantities, healthy from where they are, others
 that look like the leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting.
 Checked by: tests/unit/sil/inference/truck/test_search.py
 """
@@ -159,7 +159,8 @@ class Search:
         """Return fits, the best first, with evidence by the slopes of one of them, which hypotheses share."""
         for mounted, fitter in self.fitters.items():
             if like := [fit for fit in fits if fit.mounted is mounted]:
-                fitter.reference = fitter.slopes(min(like, key=lambda fit: fit.cost))
+                fitter.healthy = min(like, key=lambda fit: fit.cost)
+                fitter.reference = fitter.slopes(fitter.healthy)
         fits = [self.fitters[fit.mounted].with_evidence(fit) for fit in fits]
         return sorted(fits, key=lambda fit: -fit.evidence)
 
@@ -249,7 +250,10 @@ class Search:
 
         def truck(mounted: bool, size: float) -> Fit:
             is_slight = mounted is healthy.mounted and abs(size) <= EFFORT.slight
-            return healthy if is_slight else self.fitters[mounted].start()
+            if is_slight:
+                return healthy
+            fitter = self.fitters[mounted]
+            return fitter.with_loads_of(healthy, fitter.start())
 
         sizes = EFFORT.first_sizes
         jobs = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -48,20 +49,53 @@ def test_no_round_and_no_scan_makes_a_fit_worse(fitter: Fitter, usual: Fit) -> N
     assert better.cost == pytest.approx(fitter.evaluated(better, COARSE_M).cost)
 
 
-def test_a_shift_stuck_in_a_minimum_of_its_own_begins_anew(fitter: Fitter, usual: Fit) -> None:
+@pytest.fixture(scope="module")
+def good(fitter: Fitter, usual: Fit) -> Fit:
+    """A truck fitted to them, in which no shift is stuck."""
     rng = np.random.default_rng(3)
-    good = fitter.improved(fitter.rescanned(usual, COARSE_M, rng), COARSE_M, 4)
-    good = fitter.improved(replace(good, noise_factor=FIRST_FACTOR), FINE_M, 8)
-    assert good.per_shift is not None and good.per_shift.max() < 5.0
+    fit = fitter.improved(fitter.rescanned(usual, COARSE_M, rng), COARSE_M, 4)
+    fit = fitter.improved(replace(fit, noise_factor=FIRST_FACTOR), FINE_M, 8)
+    assert fit.per_shift is not None and fit.per_shift.max() < 5.0
+    return fit
+
+
+@pytest.fixture(scope="module")
+def stuck(fitter: Fitter, good: Fit) -> tuple[Fit, int]:
+    """The same with impossible loads in one shift, and which."""
     loads = np.flatnonzero(fitter.layout.is_load)
     into_gear = int(np.flatnonzero(fitter.mask[:, loads[1]])[0])
     each = good.each.copy()
     each[into_gear, loads] = -4.0 * fitter.mask[into_gear, loads]
-    stuck = fitter.improved(replace(good, each=each), FINE_M, 1)
-    assert stuck.per_shift is not None and stuck.per_shift[into_gear] > 10.0
-    freed = fitter.freed(stuck, rng)
+    fit = fitter.improved(replace(good, each=each), FINE_M, 1)
+    assert fit.per_shift is not None and fit.per_shift[into_gear] > 10.0
+    return fit, into_gear
+
+
+def test_a_shift_stuck_in_a_minimum_of_its_own_begins_anew(
+    fitter: Fitter, stuck: tuple[Fit, int]
+) -> None:
+    fit, into_gear = stuck
+    freed = fitter.freed(fit, np.random.default_rng(3))
     assert freed.per_shift is not None
-    assert freed.cost < stuck.cost - 5.0 and freed.per_shift[into_gear] < 5.0
+    assert freed.cost < fit.cost - 5.0 and freed.per_shift[into_gear] < 5.0
+
+
+def test_a_stuck_shift_tries_the_loads_of_a_healthy_truck(
+    fitter: Fitter, good: Fit, stuck: tuple[Fit, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, into_gear = stuck
+
+    def where_it_was(self: Fitter, there: Fit, rng: object) -> Fit:
+        return replace(there, each=np.tile(fit.each[into_gear], (len(self.model), 1)))
+
+    monkeypatch.setattr(Fitter, "begun_anew", where_it_was)
+    known = copy.copy(fitter)
+    costs = []
+    for known.healthy in (None, good):
+        freed = known.freed(fit, np.random.default_rng(3))
+        assert freed.per_shift is not None
+        costs.append(freed.per_shift[into_gear])
+    assert costs[0] > 10.0 and costs[1] < 5.0
 
 
 def test_what_no_shift_is_stuck_in_is_left_as_it_is(fitter: Fitter, usual: Fit) -> None:
@@ -82,7 +116,7 @@ def test_what_shifts_have_in_common_is_the_trucks(fitter: Fitter, usual: Fit) ->
 
 def test_a_trial_may_keep_the_loads_of_gears(fitter: Fitter, usual: Fit) -> None:
     trial = replace(usual, unit=usual.unit + 0.7, each=usual.each + 0.4 * fitter.mask)
-    kept = fitter._loads_kept(usual, trial)
+    kept = fitter.with_loads_of(usual, trial)
     loads = fitter.layout.differing[fitter.layout.of_gears]
     moved = fitter.layout.amounts(kept.unit, kept.each) - fitter.layout.amounts(
         usual.unit, usual.each
