@@ -54,9 +54,8 @@ def pages_of(paper: bytes) -> int:
 def test_it_opens_without_a_complaint_and_asks_the_network_for_nothing(
     browser: Any, page: str
 ) -> None:
-    browser.get(
-        "about:blank"
-    )  # the page of the live bench before goes on asking its server, which has ended
+    # the page of the live bench before goes on asking its server, which has ended
+    browser.get("about:blank")
     browser.get_log("browser")
     opened(browser, page)
     assert browser.get_log("browser") == []

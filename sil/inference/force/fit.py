@@ -421,9 +421,8 @@ def choose(record: Recorded) -> ForceChoice:
     by_names = {frozenset(item.names): item for item in tried}
     judged = [item for item in tried if acceptable(item, by_names)]
     judged.sort(key=lambda item: item.score)
-    plain = tried[0]
+    plain, sure = tried[0], 2.0 * LIMITS.min_standard_errors
     while True:
-        sure = 2.0 * LIMITS.min_standard_errors
         least = min(
             i.squares.sum() for i in judged if i is plain or gain_in_errors(i, plain) > sure
         )

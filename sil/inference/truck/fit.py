@@ -174,7 +174,7 @@ class Fitter:
         self.speed_m_s: Floats = np.maximum(speed, 0.5 * beside)
         # pulses have kinks: with slopes of its own a hypothesis is some ten in log evidence off
         self.reference: Floats | None = None
-        self.healthy: Fit | None = None  # the likeliest, once it is known
+        self.likeliest: Fit | None = None  # whose loads others try, once it is known
 
     # --- costs
 
@@ -537,7 +537,7 @@ class Fitter:
         return cone, amount / self.layout.shift_sd[cone]
 
     def freed(self, fit: Fit, rng: Rng) -> Fit:
-        """Return a fit in which the shifts farthest off have begun anew from random loads, and a healthy truck's, where that is better.
+        """Return a fit in which the shifts farthest off have begun anew from random loads, and the likeliest's, where that is better.
 
         A shift may end in a minimum of its own, teeth that part too early, say, from which the truck's
         quantities do not lead it; what is shared stays as it is until all are fitted again. Its loads may
@@ -555,8 +555,8 @@ class Fitter:
         spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
         anew = alone.begun_anew(replace(fit, spread=spread), rng)
         anew.each[::starts] = fit.each[stuck]
-        if self.healthy is not None:
-            anew.each[1::starts] = self.with_loads_of(self.healthy, fit).each[stuck]
+        if self.likeliest is not None:
+            anew.each[1::starts] = self.with_loads_of(self.likeliest, fit).each[stuck]
         anew = alone.evaluated(alone.settled(anew, STEPS.settling), FINE_M)
         assert anew.per_shift is not None
         cost = (anew.per_shift + _own_cost(anew.each, spread)).reshape(-1, starts)

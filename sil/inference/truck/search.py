@@ -47,7 +47,7 @@ class Effort:
     first are tried, and, of each first size, fitted in full. hopeless: cost
     behind the best from which a coarse fit is not continued, of which a shift is at most most_of_shift; behind, completed: cost, and number of causes,
     from which a full one is not, before its last stages, far_behind: before the very last. crossed: causes fitted in the truck of the
-    leading one, of like_sizes at which they are likest; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
+    leading one, at their own sizes or near like_sizes, where they are likest; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
     leading: causes contested by other variants, and by a healthy truck from where they are.
     """
 
@@ -159,8 +159,8 @@ class Search:
         """Return fits, the best first, with evidence by the slopes of one of them, which hypotheses share."""
         for mounted, fitter in self.fitters.items():
             if like := [fit for fit in fits if fit.mounted is mounted]:
-                fitter.healthy = min(like, key=lambda fit: fit.cost)
-                fitter.reference = fitter.slopes(fitter.healthy)
+                fitter.likeliest = min(like, key=lambda fit: fit.cost)
+                fitter.reference = fitter.slopes(fitter.likeliest)
         fits = [self.fitters[fit.mounted].with_evidence(fit) for fit in fits]
         return sorted(fits, key=lambda fit: -fit.evidence)
 

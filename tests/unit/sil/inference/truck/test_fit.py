@@ -80,7 +80,7 @@ def test_a_shift_stuck_in_a_minimum_of_its_own_begins_anew(
     assert freed.cost < fit.cost - 5.0 and freed.per_shift[into_gear] < 5.0
 
 
-def test_a_stuck_shift_tries_the_loads_of_a_healthy_truck(
+def test_a_stuck_shift_tries_the_loads_of_the_likeliest_truck(
     fitter: Fitter, good: Fit, stuck: tuple[Fit, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fit, into_gear = stuck
@@ -91,7 +91,7 @@ def test_a_stuck_shift_tries_the_loads_of_a_healthy_truck(
     monkeypatch.setattr(Fitter, "begun_anew", where_it_was)
     known = copy.copy(fitter)
     costs = []
-    for known.healthy in (None, good):
+    for known.likeliest in (None, good):
         freed = known.freed(fit, np.random.default_rng(3))
         assert freed.per_shift is not None
         costs.append(freed.per_shift[into_gear])

@@ -52,7 +52,7 @@ def test_what_is_like_a_narrow_hose(fitter: Fitter, usual: Fit) -> None:
     behind = [value for value, _ in rest]
     assert 0.0 < behind[0] < 0.2 * min(behind[1:])
     # between two sizes, with all else free
-    ((near, size),) = likeness(seen, replace(truck, size=12.0), [hose], (8.0, 15.0))
+    ((near, size),) = likeness(seen, truck, [hose], (8.0, 15.0))
     assert 0.0 <= near < 1.0 and 9.0 < size < 15.0
     # a piston so free of the stay cannot be simulated
     assert likeness(seen, truck, [only("free_play")], (24.0,))[0][0] == np.inf
