@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from plant.equations.fixed_piston import fixed_volumes
 from plant.equations.length_stroke import length_volumes
 from plant.kernel.compiled import called, inlined, kernel
-from plant.kernel.layout import fixed_state, flow_map, length_state, pressures
+from plant.kernel.layout import fixed_state, flow_map, length_state, parameters, pressures
 from plant.kernel.records import Record, Value, block
 from plant.kernel.views import named, view
 from plant.parts.flow import charge, discharge
 
 CELLS_FAR, CELLS_NEAR = 256, 1536
+Floats = NDArray[np.float64]
 
 
 class Curve(Record):
@@ -296,6 +297,35 @@ def chamber_pressure(dt, row, table):
         return row.reference * (1.0 + row.tau * exp(-row.rate * dt))
     curve = curve_for(kind == ON_CHARGE, table)
     return row.reference * curve_value(curve, row.tau + row.rate * dt)
+
+
+@kernel
+def vent(since_s, packed, table, states):
+    """Pressures of chambers that have been open to the atmosphere for since_s [n, 3], full before -> states [n, states]."""
+    out = np.zeros(CHAMBER_COLUMNS)
+    row = chamber_of(view(out, 0), 0)
+    for stroke in range(len(since_s)):
+        p = parameters(view(packed[stroke], 0))
+        y = view(states[stroke], 0)
+        volumes = length_volumes(length_state(y), p)
+        pressure = pressures(False, y)
+        for j in range(3):
+            known = since_s[stroke, j] < np.inf
+            if known and chamber_curve(p.p_supply, 0.0, volumes[j], p, view(table, 0), row):
+                pressure[j] = chamber_pressure(since_s[stroke, j], row, view(table, 0))
+
+
+def vented(since_s: Floats, packed: Floats, flow: Floats, states: Floats) -> Floats:
+    """Return states [n, states] of length strokes at rest with what is left in chambers that were full.
+
+    since_s [n, 3]: time for which each has been open to the atmosphere, in s; infinite: it is empty. packed
+    [n, PARAMETERS], flow [FLOW_COEFFICIENTS]; all of a flow without filling curves are taken as empty.
+    """
+    table = filling_curves(flow)
+    states = states.copy()
+    if table is not NO_CURVES:
+        vent(since_s, packed, table, states)
+    return states
 
 
 @called

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -58,6 +59,7 @@ class RecordedShift:
     instants that the pulses measured, if nothing delays them, and the positions that they report.
     difference_rad_s: input minus output speed before the gear is engaged. supply_pa: absolute. Both
     are NaN if the log has none. failed: it did not reach the gear commanded, which is its `end` then.
+    off_s: when the valve of each chamber was last switched off before; minus infinity if never.
     """
 
     source: str
@@ -70,13 +72,18 @@ class RecordedShift:
     difference_rad_s: float
     supply_pa: float
     failed: bool = False
+    off_s: tuple[float, ...] = (-math.inf,) * 3
 
 
 @dataclass
 class _Episode:
-    """Commands of a shift, and the frames of pulses and speeds; ns."""
+    """Commands of a shift, and the frames of pulses and speeds; ns.
+
+    off_ns: when the valve of each chamber was last switched off before it, None if never.
+    """
 
     begin_ns: int
+    off_ns: tuple[int | None, ...]
     frames: dict[type, list[tuple[int, Frame]]]
     targets: list[tuple[int, Gear]] = field(default_factory=list)
     commands: list[tuple[int, int, float]] = field(default_factory=list)
@@ -103,6 +110,7 @@ class ShiftReader:
             ValveDriverConfig(), value("valve.duty_nominal"), self._duty_open
         )
         self._duties: Duties = self._driver.duties
+        self._off_ns: list[int | None] = [None] * 3
         self._cutter = CommandedShifts()
         self._episode: _Episode | None = None
         self._recent: dict[type, deque[tuple[int, Frame]]] = {
@@ -150,7 +158,8 @@ class ShiftReader:
         energised = max(duties) >= self._duty_open
         ended = self._closed(self._cutter.command(at_ns, energised, self._is_in_gear))
         if self._episode is None and self._cutter.begin_ns is not None:
-            self._episode = _Episode(at_ns, {k: list(recent) for k, recent in self._recent.items()})
+            recent = {kind: list(frames) for kind, frames in self._recent.items()}
+            self._episode = _Episode(at_ns, tuple(self._off_ns), recent)
         if self._episode is not None:
             targets = self._episode.targets
             if energised and self._driver.target not in {target for _, target in targets[-1:]}:
@@ -160,6 +169,9 @@ class ShiftReader:
                 for chamber, (duty, old) in enumerate(zip(duties, before, strict=True))
                 if duty != old
             ]
+        for chamber, (duty, old) in enumerate(zip(duties, before, strict=True)):
+            if duty < self._duty_open <= old:
+                self._off_ns[chamber] = at_ns
         return ended
 
     def _is_in_gear(self) -> bool:
@@ -241,6 +253,7 @@ class ShiftReader:
             0.0 if end == "N" else self._difference(episode, measured_s[used], position[used]),
             self._supply_pa,
             failed,
+            tuple(-math.inf if at_ns is None else episode.s(at_ns) for at_ns in episode.off_ns),
         )
 
     def _gave_up(self, episode: _Episode, time_s: Floats, position_m: Floats) -> bool:

@@ -57,6 +57,7 @@ class Steps:
     """
 
     farthest_sd: float = 8.0
+    followed: int = 2
     dampings: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0, 10.0)
     short: float = 0.4
     trip_draws: int = 4
@@ -363,20 +364,26 @@ class Fitter:
         fixed: bool = False,
         kept: Sequence[int] = (),
         enough: float = -np.inf,
+        followed: int = STEPS.followed,
     ) -> Fit:
         """Return a fit after at most so many rounds of steps that each gain `least`.
 
-        fixed: its size is kept; kept: columns of the truck's quantities that are; enough: cost at which it ends.
+        fixed: its size is kept; kept: columns of the truck's quantities that are; enough: cost at which it ends;
+        followed: rounds in which slopes only follow the steps (Broyden).
         """
         variance = self._variance_of(fit, error_m)
         fit = self.centred(self.evaluated(fit, error_m), kept)
         stuck, columns = False, np.array(kept, dtype=np.int64)
+        slopes, before, age = np.empty(0), fit, followed
         for turn in range(rounds):
             if fit.cost <= enough:
                 break
-            side = (1.0, -1.0)[turn % 2]
-            derivatives = self.derivatives(fit, 0.4 if stuck else 0.1, (side,))
-            system = self.system(fit, derivatives, variance)
+            if age == followed:
+                slopes = self.derivatives(fit, 0.4 if stuck else 0.1, ((1.0, -1.0)[turn % 2],))
+                age = 0
+            else:
+                slopes, age = self._followed(slopes, before, fit), age + 1
+            system = self.system(fit, slopes, variance)
             if fixed and fit.cause is not None:
                 system.shared[-1, -1], system.shared_gradient[-1] = 1e15, 0.0
             system.shared[columns, columns], system.shared_gradient[columns] = 1e15, 0.0
@@ -387,17 +394,27 @@ class Fitter:
                 trials += [self._moved(fit, share * moved, share * own) for share in shares]
             tried = self._tried(fit, trials, variance)
             best = min(tried, key=lambda trial: trial.cost)
-            if best.cost >= fit.cost - least:
+            if best.cost >= fit.cost - least and not age:
                 other = self._tried(fit, [self.with_loads_of(fit, t) for t in trials], variance)
                 pairs = zip(tried, other, strict=True)
                 best = min((self._joined(*pair) for pair in pairs), key=lambda t: t.cost)
             if best.cost < fit.cost - least:
-                fit, stuck = self.centred(best, kept), False
+                before, fit, stuck = fit, self.centred(best, kept), False
             elif stuck:
                 break
             else:
-                stuck = True
+                stuck, age = not age, followed
         return fit
+
+    def _followed(self, slopes: Floats, before: Fit, fit: Fit) -> Floats:
+        """Return slopes [shifts, pulses, quantities + 1] that agree with the last step (Broyden)."""
+        assert fit.position_m is not None and before.position_m is not None
+        there, here = (self.layout.amounts(f.unit, f.each) * self.model.acts for f in (fit, before))
+        by_size = np.full(len(there), fit.size - before.size)
+        moved = np.column_stack([(there - here) / self.layout.unit_sd, by_size])
+        rest = fit.position_m - before.position_m - np.einsum("ktp,kp->kt", slopes, moved)
+        along = moved / np.maximum((moved**2).sum(axis=1, keepdims=True), 1e-12)
+        return slopes + np.nan_to_num(rest)[:, :, None] * along[:, None, :]
 
     def _tried(self, fit: Fit, trials: Sequence[Fit], variance: Floats) -> list[Fit]:
         """Return trials with their predictions and costs at a variance [shifts, pulses]."""
@@ -638,7 +655,7 @@ class Fitter:
             fit = self.with_scales(fit)
             if turn < times - 1:
                 fit = self.rescanned(self.freed(fit, rng), FINE_M, rng)
-            fit = self.improved(fit, FINE_M, 8, fixed=fixed)
+            fit = self.improved(fit, FINE_M, 8, fixed=fixed, followed=0)
         return self.with_evidence(fit)
 
     def with_evidence(self, fit: Fit) -> Fit:

@@ -222,7 +222,7 @@ class Search:
             fit = fitter.improved(fit, MIDDLE_M, 8)
         fit = replace(fit, noise_factor=FIRST_FACTOR)
         fit = fitter.rescanned(fit, FINE_M, rng)
-        return fitter.finished(fitter.improved(fit, FINE_M, 8), rng)
+        return fitter.finished(fitter.improved(fit, FINE_M, 8, followed=0), rng)
 
     def _near(
         self, healthy: Fit, gains: Sequence[tuple[float, float]], stages: Stages
@@ -287,8 +287,7 @@ class Search:
         if not truck.unit.any():  # a usual truck is far from this one
             fit = fitter.rescanned(fit, COARSE_M, rng)
             fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True)
-        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 3, fixed=True)
-        fit = fitter.improved(fit, MIDDLE_M, 3)
+        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 14)
         each = truck.each.copy()
         each[self.first] = fit.each
         return replace(fit, each=each)
@@ -314,11 +313,11 @@ class Search:
         return [f for c, f in zip(costs, fits, strict=True) if f.cause is None or c <= most]
 
     def _begun(self, job: tuple[Fit, int]) -> Fit:
-        """Fit a hypothesis to all shifts, with more than the noise allowed for, its size kept at first."""
+        """Fit a hypothesis to all shifts, with more than the noise allowed for."""
         fit, seed = job
         fitter, rng = self.fitters[fit.mounted], np.random.default_rng(seed)
-        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 4, fixed=True)
-        return self._refined(fitter.improved(fit, MIDDLE_M, 6), rng)
+        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 14)
+        return self._refined(fit, rng)
 
     def _refined(self, fit: Fit, rng: np.random.Generator) -> Fit:
         fitter = self.fitters[fit.mounted]
@@ -379,7 +378,7 @@ class Search:
         for error_m in (COARSE_M, MIDDLE_M):
             fit = fitter.rescanned(fit, error_m, rng, 64)
             fit = fitter.improved(fit, error_m, 6, fixed=True)
-        return self._refined(fitter.improved(fit, MIDDLE_M, 5), rng)
+        return self._refined(fitter.improved(fit, MIDDLE_M, 9), rng)
 
 
 def spread(shifts: Sequence[RecordedShift], most: int) -> list[RecordedShift]:

@@ -21,6 +21,7 @@ from plant.effects import apply_effects
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.effects.tolerances import FACTORS
+from plant.integrator.filling import vented
 from plant.integrator.loop import DONE
 from plant.kernel.layout import LENGTH, LengthState, Modes, Parameters
 from plant.kernel.packing import fresh_modes, initial_state
@@ -89,6 +90,7 @@ class ShiftModel:
         self._impulse: Floats = np.array([_impulse_n_s(s) for s in shifts])
         self.passing: Floats = np.log(PASSING_N_S / self._impulse)
         self._starts = np.array([s.start for s in shifts])
+        self._off_s: Floats = np.array([s.off_s for s in shifts])
         into = [any(c != 1 and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
         kinds = {
             "always": np.ones(len(shifts), dtype=bool),
@@ -162,6 +164,11 @@ class ShiftModel:
             initial[rows] = initial_state(
                 LENGTH, Parameters(packed[rows]), position=gear, charged=()
             )
+        delays_ns = self._delays_ns(amounts, setups, of_pair)
+        since_s = np.maximum(-self._off_s[which] - delays_ns[:, 1:] / NS_PER_S, 0.0)
+        for number, setup in enumerate(setups):
+            rows = of_pair == number
+            initial[rows] = vented(since_s[rows], packed[rows], setup.c, initial[rows])
         latency_s = np.array([s.chain.latency_s for s in setups]) - self.latency_s
         late_s = amounts[:, at["latency"]] + latency_s[of_pair]
         instants = np.maximum(self.time_s[which] - late_s[:, None], 0.0)
@@ -173,7 +180,7 @@ class ShiftModel:
             initial=initial,
             modes=np.array([item.modes for item in actuators])[each],
             valves=np.zeros((1, 3)),
-            switches=self._switches(which, amounts, setups, of_pair),
+            switches=self._switches(which, delays_ns, setups[0]),
             duration_s=instants[:, -1] + 1e-6,
         )
         result = simulate_batch(
@@ -210,13 +217,14 @@ class ShiftModel:
         out: Floats = p.array
         return out
 
-    def _switches(
-        self, which: Ints, amounts: Floats, setups: Sequence[Setup], of_pair: Ints
-    ) -> Floats:
-        """Return the moves of the valves [n, k, 4] as rows of `plant.batch.batch.Strokes`."""
+    def _delays_ns(self, amounts: Floats, setups: Sequence[Setup], of_pair: Ints) -> Ints:
+        """Return the delays of opening and closing [n, 2]."""
         delays = np.array([(s.timing.rise_ns, s.timing.fall_ns) for s in setups])[of_pair]
         own_ns = [NS_PER_S * amounts[:, self.layout.at[name]] for name in ("rise", "fall")]
-        delays = np.maximum(0, delays + np.array(own_ns).round().astype(np.int64).T)
+        return np.maximum(0, delays + np.array(own_ns).round().astype(np.int64).T)
+
+    def _switches(self, which: Ints, delays: Ints, like: Setup) -> Floats:
+        """Return the moves of the valves [n, k, 4] as rows of `plant.batch.batch.Strokes`, by their delays in ns."""
         # delays within 0.5 ms have the same moves of the valves, in another place
         steps = delays // 500_000
         later_s = (delays - 500_000 * steps - 250_000) / NS_PER_S
@@ -228,7 +236,7 @@ class ShiftModel:
         for key, row in zip(keys.tolist(), first, strict=True):
             if key not in self._moves:
                 rise_ns, fall_ns = (500_000 * steps[row] + 250_000).tolist()
-                near = replace(setups[0].timing, rise_ns=rise_ns, fall_ns=fall_ns)
+                near = replace(like.timing, rise_ns=rise_ns, fall_ns=fall_ns)
                 rows = switch_schedule(self.shifts[which[row]].commands, near, 3)
                 timed = [(at / NS_PER_S, chamber, u, 0.0) for at, chamber, u in rows]
                 self._moves[key] = np.array(timed).reshape(-1, 4)
