@@ -6,7 +6,8 @@ of log(factor) for each number. Each shift has quantities of its own, eliminated
 the loads differ from shift to shift is estimated by EM. Pulses have kinks by every quantity where the
 stay sticks and releases: steps are tried at several dampings at once, and before each stage random
 quantities of every shift; the best are taken.
-Source: Levenberg-Marquardt with Schur elimination, as in sil/inference/fit.py; evidence by Laplace.
+Source: Levenberg-Marquardt with Schur elimination, as in sil/inference/fit.py; slopes by Broyden (1965) between
+differences; evidence by Laplace.
 Checked by: tests/unit/sil/inference/truck/test_fit.py
 """
 
@@ -414,7 +415,8 @@ class Fitter:
         moved = np.column_stack([(there - here) / self.layout.unit_sd, by_size])
         rest = fit.position_m - before.position_m - np.einsum("ktp,kp->kt", slopes, moved)
         along = moved / np.maximum((moved**2).sum(axis=1, keepdims=True), 1e-12)
-        return slopes + np.nan_to_num(rest)[:, :, None] * along[:, None, :]
+        out: Floats = slopes + np.nan_to_num(rest)[:, :, None] * along[:, None, :]
+        return out
 
     def _tried(self, fit: Fit, trials: Sequence[Fit], variance: Floats) -> list[Fit]:
         """Return trials with their predictions and costs at a variance [shifts, pulses]."""
@@ -693,7 +695,8 @@ class Fitter:
                 size = fit.cause.clipped(fit.size + sign * step * 2.0**doubling)
                 if fit.size * size < 0.0:
                     size = 0.0
-                moved = self.improved(replace(moved, size=size), FINE_M, 6, least=0.1, fixed=True)
+                moved = replace(moved, size=size)
+                moved = self.improved(moved, FINE_M, 6, least=0.1, fixed=True, followed=0)
                 rise = moved.cost - fit.cost - _size_cost(size) + _size_cost(fit.size)
                 if rise > 2.0:
                     share = (2.0 - last[1]) / max(rise - last[1], 1e-9)

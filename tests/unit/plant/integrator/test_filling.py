@@ -17,10 +17,13 @@ from plant.integrator.filling import (
     curve_tau,
     curve_value,
     tabulate,
+    vented,
 )
-from plant.kernel.packing import flow_coefficients
+from plant.kernel.layout import LENGTH, LengthState
+from plant.kernel.packing import flow_coefficients, initial_state
 from plant.kernel.views import view
 from plant.parameters import load
+from tests.physics.bare import MS, STUCK, Bare
 
 CHARGE, DISCHARGE = 0, CURVE
 
@@ -115,6 +118,23 @@ def test_what_fades_beyond_the_table_is_nothing(table) -> None:
     assert np.all(np.diff(faded) < 0.0)
     for begin in (CHARGE, DISCHARGE):
         assert abs(Curve(table[begin:]).end - 1.0) < 1e-7
+
+
+def test_what_is_left_in_a_vented_chamber_is_what_the_kernel_leaves(flow) -> None:
+    rig = Bare(LENGTH, STUCK, charged=("B", "F"))
+    full = rig.state(LengthState.p_b)
+    start = initial_state(LENGTH, rig.packed, position="N", charged=())
+    rig.advance(0, [(0, 0, 0.0), (0, 2, 0.0)])
+    for at_ms in (5, 40, 150):
+        rig.advance(at_ms * MS)
+        since_s = np.array([[at_ms * 1e-3, np.inf, 0.0]])
+        left = vented(since_s, rig.packed.array[None], flow, start[None])[0]
+        assert full > rig.state(LengthState.p_b) > left[LengthState.p_n] == 101325.0
+        assert left[LengthState.p_b] == pytest.approx(rig.state(LengthState.p_b), rel=1e-6)
+        assert left[LengthState.p_f] == pytest.approx(full)
+    assert vented(since_s, rig.packed.array[None], 0.0 * flow, start[None])[0] == pytest.approx(
+        start
+    )
 
 
 def test_maps_that_do_not_close_have_no_curve(flow):

@@ -60,6 +60,18 @@ def test_a_shift_has_its_gears_commands_and_pulses(nominal_log: Path) -> None:
     assert len({s.begin_s for s in shifts}) == len(shifts)
 
 
+def test_a_shift_knows_when_each_valve_was_last_switched_off(nominal_log: Path) -> None:
+    shifts = cut(nominal_log)
+    assert shifts[0].off_s == (-np.inf,) * 3
+    last: dict[int, float] = {}
+    for shift in shifts:
+        begin_s = shift.begin_s - 0.05
+        for chamber, off_s in enumerate(shift.off_s):
+            assert off_s + begin_s == pytest.approx(last.get(chamber, -np.inf), abs=1e-9)
+        last |= {chamber: at + begin_s for at, chamber, duty in shift.commands if duty == 0.0}
+    assert len(last) >= 2
+
+
 def test_pulses_lost_and_damaged_are_left_out(nominal_log: Path, tmp_path: Path) -> None:
     whole, worse = cut(nominal_log), tmp_path / "worse.log"
     with open_writer(str(worse)) as writer:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sil.inference.truck.fit import COARSE_M, FINE_M, FIRST_FACTOR, Fit, Fitter, System
+from sil.inference.truck.fit import COARSE_M, FINE_M, FIRST_FACTOR, MIDDLE_M, Fit, Fitter, System
 from tests.unit.sil.inference.truck.test_causes import only
 
 
@@ -47,6 +47,21 @@ def test_no_round_and_no_scan_makes_a_fit_worse(fitter: Fitter, usual: Fit) -> N
     better = fitter.improved(scanned, COARSE_M, 2)
     assert better.cost <= scanned.cost <= coarse.cost
     assert better.cost == pytest.approx(fitter.evaluated(better, COARSE_M).cost)
+
+
+def test_slopes_that_follow_the_steps_lead_there_by_fewer_strokes(
+    fitter: Fitter, usual: Fit
+) -> None:
+    unit = usual.unit.copy()
+    unit[[fitter.layout.at[name] for name in ("supply", "mass", "linkage")]] = -2.0, 2.0, 1.5
+    begun = fitter.evaluated(replace(usual, unit=unit), MIDDLE_M)
+    strokes = []
+    for followed in (0, 2):
+        before = fitter.model.strokes
+        assert fitter.improved(begun, MIDDLE_M, 4, followed=followed).cost < 0.7 * begun.cost
+        strokes.append(fitter.model.strokes - before)
+    assert strokes[1] < 0.8 * strokes[0]
+    assert fitter.improved(begun, MIDDLE_M, 20, followed=2).cost < 0.05 * begun.cost
 
 
 @pytest.fixture(scope="module")

@@ -68,6 +68,18 @@ def test_a_stay_that_rebounds_meets_the_barrier_out_of_gear_on_its_way_in(fitter
     assert apart(0.0).max() == 0.0 and apart(2.4).min() > 5e-6
 
 
+def test_a_chamber_vented_slowly_still_pushes_in_the_next_shift(
+    shifts: list[RecordedShift],
+) -> None:
+    later = next(shift for shift in shifts if max(shift.off_s) > -np.inf)
+    model = ShiftModel([later, replace(later, off_s=(-np.inf,) * 3)], load("nominal"))
+    rows, usual = np.arange(2), np.zeros((2, len(model.layout)))
+    x, done = model.positions(rows, usual)
+    clogged, _ = model.positions(rows, usual, only("exhaust_clog"), -7.6)
+    assert done.all() and x[0] == pytest.approx(x[1], abs=1e-7)
+    assert np.abs(clogged[0] - clogged[1]).max() > 1e-3
+
+
 def test_a_delay_by_the_supply_is_that_of_each_shifts(shifts: list[RecordedShift]) -> None:
     pair = [replace(shifts[0], supply_pa=by) for by in (9e5, 7e5)]
     model = ShiftModel(pair, load("nominal"))
