@@ -57,7 +57,7 @@ class Effort:
     least_gain: float = 1.5
     near: int = 14
     near_fitted: int = 6
-    first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 15.0)
+    first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 25.0)
     first_shifts: int = 6
     tolerance: float = 1e-4
     slight: float = 3.0
@@ -260,7 +260,7 @@ class Search:
             (truck(mounted, size), cause, size, seed)
             for mounted in dict.fromkeys((True, healthy.mounted))
             for cause in self._first_look()
-            for seed, size in enumerate(cause.sizes(*sizes[: 4 if cause.sign else 3]))
+            for seed, size in enumerate(cause.sizes(*sizes[: 5 if cause.sign else 3]))
         ]
         begun = spread_out(self._begun_on_some, jobs, self.workers, stages.until(40.0))
         around = [
