@@ -67,15 +67,18 @@ def begin_piece(r, k, o, task, leaping):
 
 
 @inlined
-def fills(m):
-    """Return True if a user's cylinder rests: its chambers become as full as the supply, which makes it stiff."""
-    return m.masses != 0 and event.at_rest(m)
+def fills(o):
+    """Return True if chambers with masses of their own, or behind a short line, rest: as full as the supply they are stiff."""
+    m = o.m
+    # such a line settles within milliseconds
+    short = m.line != 0 and o.p.line_cda > 0.2 * o.p.line_volume
+    return (m.masses != 0 or short) and event.at_rest(m)
 
 
 @inlined
-def is_stiff(m):
+def is_stiff(o):
     """Return True if steps of an explicit method would be short for stability alone."""
-    return m.damper == layout.COMPRESSIBLE or fills(m)
+    return o.m.damper == layout.COMPRESSIBLE or fills(o)
 
 
 @called
@@ -83,9 +86,10 @@ def try_step(r, k, o):
     """One step of the method that the modes ask for; error norm and its root's power."""
     n = k.states
     n_all = n + k.quadratures
-    if is_stiff(o.m):
+    if is_stiff(o):
         if k.has_jacobian == 0:
-            resting = 2 if fills(o.m) else 0  # position and speed
+            # positions and speeds
+            resting = layout.FIRST_PRESSURE[int(o.m.system)] if fills(o) else 0
             steppers.differentiate(o, r, n, n_all, k.quadratures > 0, resting)
             k.has_jacobian = 1
         return steppers.stiff_step(o, r, n, n_all, k.quadratures > 0), 0.25
@@ -106,7 +110,7 @@ def reject(r, k, h, explicit):
 @called
 def judge_step(r, k, o, norm, power, follow):
     """Accept a step and choose the size of the next; STEPPING, AGAIN if rejected, or why to stop."""
-    explicit = not is_stiff(o.m)
+    explicit = not is_stiff(o)
     h = r.step
     if not norm <= 1.0e300:
         if 0.1 * h < 1e-14 or follow:
@@ -134,7 +138,7 @@ def find_event(r, k, o, task):
     h = r.step
     end = r.time + h
     n_all = k.states + k.quadratures
-    explicit = not is_stiff(o.m)
+    explicit = not is_stiff(o)
     fired = False
     theta = 1.0
     if loop.expects_event(task, k.steps - 1):
@@ -169,7 +173,7 @@ def finish_step(r, k, o, task):
         status = handle_event(index, r, k, o, task)
         r.wanted = min(r.wanted, max(loop.STEP_AFTER_EVENT_S, 0.3 * h))
         return status
-    if is_stiff(o.m):
+    if is_stiff(o):
         steppers.derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
     k.has_jacobian = 0
     return loop.STEPPING

@@ -10,6 +10,7 @@ import pytest
 
 from plant.batch.batch import BatchResult, Strokes, simulate_batch
 from plant.batch.prediction import MOVE, Followers, Predictor
+from plant.effects import CATALOGUE
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.integrator.loop import DONE
@@ -57,6 +58,25 @@ def same(first: BatchResult, second: BatchResult, rows: object = slice(None)) ->
         np.array_equal(getattr(first, name)[rows], getattr(second, name), equal_nan=True)
         for name in EQUAL
     )
+
+
+def test_a_short_supply_line_at_rest_takes_few_steps() -> None:
+    lines = []
+    for cda_m2, volume_m3 in ((1.3e-5, 1e-5), (8e-6, 4e-4)):
+        line = setup("N-B")
+        CATALOGUE["hose_droop"].apply(line, {"cda_m2": cda_m2, "volume_m3": volume_m3})
+        lines.append(line)
+    how = {"sample_s": np.linspace(0.0, 2.0, 201)}
+    rough, exact = (
+        simulate_batch(Strokes.from_setups(lines, 2.0), tolerance=tolerance, **how)
+        for tolerance in (1e-5, 1e-9)
+    )
+    assert (rough.status == DONE).all() and (exact.status == DONE).all()
+    assert (rough.steps < 400).all()  # the explicit method takes 11,000
+    assert rough.arrival_s == pytest.approx(exact.arrival_s, abs=2e-6)
+    pressures = slice(LengthState.p_b, LengthState.p_f + 1)
+    assert rough.final[:, pressures] == pytest.approx(exact.final[:, pressures], rel=1e-4)
+    assert exact.final[:, LengthState.p_b] == pytest.approx(9e5, rel=1e-4)
 
 
 @pytest.mark.parametrize("kind", STROKES)
