@@ -63,7 +63,7 @@ def test_the_intervals_hold_the_truth(
         assert item.low is not None and item.high is not None
         assert item.low < true < item.high, path
     mass = calibrated.values["truck.m_gearbox"]
-    assert mass.value == pytest.approx(truck["truck.m_gearbox"], rel=0.05)
+    assert mass.value == pytest.approx(truck["truck.m_gearbox"], rel=0.06)
 
 
 def test_noise_explains_shifts_that_the_fit_did_not_use(
