@@ -310,16 +310,16 @@ def vent(since_s, packed, table, states):
         volumes = length_volumes(length_state(y), p)
         pressure = pressures(False, y)
         for j in range(3):
-            known = since_s[stroke, j] < np.inf
-            if known and chamber_curve(p.p_supply, 0.0, volumes[j], p, view(table, 0), row):
+            was_full = since_s[stroke, j] < np.inf
+            if was_full and chamber_curve(p.p_supply, 0.0, volumes[j], p, view(table, 0), row):
                 pressure[j] = chamber_pressure(since_s[stroke, j], row, view(table, 0))
 
 
 def vented(since_s: Floats, packed: Floats, flow: Floats, states: Floats) -> Floats:
     """Return states [n, states] of length strokes at rest with what is left in chambers that were full.
 
-    since_s [n, 3]: time for which each has been open to the atmosphere, in s; infinite: it is empty. packed
-    [n, PARAMETERS], flow [FLOW_COEFFICIENTS]; all of a flow without filling curves are taken as empty.
+    since_s [n, 3]: time for which each has been open to the atmosphere, in s; infinite: it is empty. Leaks, which only
+    help, are left out. packed [n, PARAMETERS], flow [FLOW_COEFFICIENTS]; all of a flow without filling curves are taken as empty.
     """
     table = filling_curves(flow)
     states = states.copy()

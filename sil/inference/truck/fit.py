@@ -49,7 +49,8 @@ class Priors:
 class Steps:
     """How a fit moves.
 
-    farthest_sd: no quantity is tried farther out; dampings: of the steps tried at once; short: share of an
+    farthest_sd: no quantity is tried farther out; followed: rounds in which slopes only follow the
+    steps, where a fit is not judged; dampings: of the steps tried at once; short: share of an
     undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
     passing: share of draws in which a cone stops nothing; centrings: iterations of centring; informed: share
     of a load's variance that a shift leaves at most if its spread is estimated with it; impossible: cost of a
@@ -395,6 +396,7 @@ class Fitter:
                 trials += [self._moved(fit, share * moved, share * own) for share in shares]
             tried = self._tried(fit, trials, variance)
             best = min(tried, key=lambda trial: trial.cost)
+            # slopes that only followed are taken anew before a fit counts as stuck
             if best.cost >= fit.cost - least and not age:
                 other = self._tried(fit, [self.with_loads_of(fit, t) for t in trials], variance)
                 pairs = zip(tried, other, strict=True)

@@ -1,7 +1,7 @@
 """Recorded shifts as functions of what may differ: the positions that the pulses would report.
 
 The recorded commands drive the plant at their recorded instants through the batch kernel, any number
-of shifts and amounts in one call.
+of shifts and amounts in one call. Chambers begin with what is left in them since their valve was last switched off.
 Checked by: tests/unit/sil/inference/truck/test_simulator.py
 """
 
