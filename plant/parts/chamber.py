@@ -62,7 +62,7 @@ def piston_leak(pressure, other, kelvin, p):
 @inlined
 def all_leaks(past_pistons, t, x, pressure, kelvin, u, slot, p):
     """Return the flow into a chamber that passes no valve, `past_pistons` included [K kg/s]; slot: of its terms."""
-    if p.leak_atm != 0.0:
+    if p.leak_atm != 0.0 and u != 0.0:
         past_pistons -= u * leak(pressure, p.p_atm, p.leak_atm, kelvin, p)
     if unlikely(p.adder != 0.0):
         past_pistons += added(slot, t, x, 0.0, u, pressure, p)

@@ -57,6 +57,8 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
     Next to equal ones (ratio above 0.999) the root is replaced by the odd cubic of the same value and slope there: a
     finite slope. Checked by: tests/physics/test_flow.py (continuity at 0.5283)
     """
+    if upstream_pa == downstream_pa:
+        return 0.0
     if upstream_pa >= downstream_pa:
         high = upstream_pa
         low = downstream_pa
@@ -67,8 +69,9 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
         sign = -1.0
     ratio = low / high
     edge = min(max(ratio, 0.0), 0.999)
-    density = edge ** (1.0 / gamma)
-    if 2.0 * density >= (gamma + 1.0) * edge:  # the root below rises no further
+    is_choked = edge < 0.3  # at any gamma below 4: saves a power
+    density = 0.0 if is_choked else edge ** (1.0 / gamma)
+    if is_choked or 2.0 * density >= (gamma + 1.0) * edge:  # the root below rises no further
         value = sqrt(gamma * (2.0 / (gamma + 1.0)) ** ((gamma + 1.0) / (gamma - 1.0)))
     else:
         value = sqrt(2.0 * gamma / (gamma - 1.0) * density * (density - edge))

@@ -46,7 +46,7 @@ class Tested:
     rounds: int = 8
     shares: tuple[float, ...] = (0.33, 0.67, 1.0)
     rounds_each: int = 4
-    shifts: int = 8
+    shifts: int = 6
     tiny: float = 1e-6
 
 

@@ -111,7 +111,7 @@ def judge(
     fits = search.run(stages.until(80.0))
     if len(used) > len(few):
         search, fits = search.on_all(used, parameters, noise_m, fits)
-    verdict = decide(fits, causes, search.fitters, failed)
+    verdict = decide(fits, causes, search.fitters, failed, workers)
     stages.until(90.0)
     fit = verdict.healthy.fit
     shown = detectable_of(search.fitters[fit.mounted], fit, causes, workers)

@@ -367,11 +367,13 @@ class Fitter:
         kept: Sequence[int] = (),
         enough: float = -np.inf,
         followed: int = STEPS.followed,
+        again: bool = True,
     ) -> Fit:
         """Return a fit after at most so many rounds of steps that each gain `least`.
 
         fixed: its size is kept; kept: columns of the truck's quantities that are; enough: cost at which it ends;
-        followed: rounds in which slopes only follow the steps (Broyden).
+        followed: rounds in which slopes only follow the steps (Broyden); again: where no step gains, it goes on by
+        wider differences.
         """
         variance = self._variance_of(fit, error_m)
         fit = self.centred(self.evaluated(fit, error_m), kept)
@@ -403,7 +405,7 @@ class Fitter:
                 best = min((self._joined(*pair) for pair in pairs), key=lambda t: t.cost)
             if best.cost < fit.cost - least:
                 before, fit, stuck = fit, self.centred(best, kept), False
-            elif stuck:
+            elif stuck or (not age and not again):
                 break
             else:
                 stuck, age = not age, followed

@@ -3,7 +3,7 @@
 A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What
 each cause would gain beside it, by secants with all else free, picks those fitted near it; unless a
 healthy truck explains the shifts, every cause is also fitted to some of them, slight ones in the healthy
-truck, larger ones in a usual one with its loads. The best are fitted again from other random quantities, healthy from where they are, others
+truck, larger ones in a usual one with its loads; those of an effect that are best by then go on. The best are fitted again from other random quantities, healthy from where they are, others
 that look like the leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting.
 Checked by: tests/unit/sil/inference/truck/test_search.py
 """
@@ -59,6 +59,7 @@ class Effort:
     near_fitted: int = 6
     first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 25.0)
     first_shifts: int = 6
+    going_on: int = 3
     tolerance: float = 1e-4
     slight: float = 3.0
     variants: int = 3
@@ -78,6 +79,8 @@ class Effort:
 
 
 EFFORT: Final = Effort()
+FirstLook = tuple[Fit, Cause, float, int]
+"""A truck, a cause of a size in it, and a seed."""
 
 
 @dataclass
@@ -262,7 +265,9 @@ class Search:
             for cause in self._first_look()
             for seed, size in enumerate(cause.sizes(*sizes[: 5 if cause.sign else 3]))
         ]
-        begun = spread_out(self._begun_on_some, jobs, self.workers, stages.until(40.0))
+        jobs = self._telling(jobs)
+        begun = spread_out(self._begun_on_some, jobs, self.workers, stages.until(37.0))
+        begun = self._gone_on(begun, stages.until(40.0))
         around = [
             (truck(fit.mounted, size), fit.cause, size, len(sizes))
             for fit in _best_of(begun, EFFORT.wide_varied, _capped)
@@ -275,22 +280,69 @@ class Search:
             [fit for fit, k in zip(begun, begun_at, strict=True) if k == at]
             for at in range(len(sizes))
         ]
-        groups.append(spread_out(self._begun_on_some, around, self.workers, stages.until(50.0)))
+        begun = spread_out(self._begun_on_some, around, self.workers, stages.until(48.0))
+        groups.append(self._gone_on(begun, stages.until(50.0)))
         return [fit for group in groups for fit in _best_of(group, EFFORT.wide_fitted, _capped)]
 
-    def _begun_on_some(self, job: tuple[Fit, Cause, float, int]) -> Fit:
+    def _telling(self, jobs: Sequence[FirstLook]) -> list[FirstLook]:
+        """Return the first looks whose cause moves a shift, and not as in an earlier one of its effect."""
+        kept, seen = list[FirstLook](), set[tuple[str, bytes]]()
+        for job, (without, there) in zip(
+            jobs, spread_out(self._moved, jobs, self.workers), strict=True
+        ):
+            if there != without and (job[1].id, there) not in seen:
+                kept.append(job)
+            seen.add((job[1].id, there))
+        return kept
+
+    def _moved(self, job: FirstLook) -> tuple[bytes, bytes]:
+        """Return the positions of a first look to a micrometre, without its cause and with it."""
+        truck, cause, size, _ = job
+        some = self._of_first(truck)
+        fits = some, replace(some, cause=cause, size=size)
+        where = [self.coarse[truck.mounted].evaluated(fit, MIDDLE_M).position_m for fit in fits]
+        without, there = (np.round(x, 6).tobytes() for x in where if x is not None)
+        return without, there
+
+    def _gone_on(self, begun: Sequence[Fit], show: Show) -> list[Fit]:
+        """Return first looks, of which the best of each effect have gone on."""
+        fits, number = list(begun), Counter[str]()
+        leading = []
+        for k in sorted(range(len(fits)), key=lambda k: _capped(fits[k])):
+            number[fits[k].id] += 1
+            if number[fits[k].id] <= EFFORT.going_on:
+                leading.append(k)
+        further = spread_out(self._further, [fits[k] for k in leading], self.workers, show)
+        for k, fit in zip(leading, further, strict=True):
+            fits[k] = fit
+        return fits
+
+    def _begun_on_some(self, job: FirstLook) -> Fit:
         """Fit a cause of a size in a truck to the shifts of a first look."""
         truck, cause, size, seed = job
         fitter, rng = self.coarse[truck.mounted], np.random.default_rng(seed)
-        fit = replace(truck, cause=cause, size=size, each=truck.each[self.first])
+        fit = replace(self._of_first(truck), cause=cause, size=size)
         fit = replace(fit, spread=np.ones_like(fit.spread))
         if not truck.unit.any():  # a usual truck is far from this one
             fit = fitter.rescanned(fit, COARSE_M, rng)
-            fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True)
-        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 14)
-        each = truck.each.copy()
-        each[self.first] = fit.each
-        return replace(fit, each=each)
+            fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True, again=False)
+        fit = fitter.rescanned(fit, MIDDLE_M, rng)
+        return self._of_all(fitter.improved(fit, MIDDLE_M, 6, again=False), truck)
+
+    def _further(self, fit: Fit) -> Fit:
+        """Fit a cause further to the shifts of a first look."""
+        fitter = self.coarse[fit.mounted]
+        return self._of_all(fitter.improved(self._of_first(fit), MIDDLE_M, 8, again=False), fit)
+
+    def _of_first(self, fit: Fit) -> Fit:
+        """Return a fit of all shifts as one of those that a first look takes."""
+        return replace(fit, each=fit.each[self.first])
+
+    def _of_all(self, some: Fit, fit: Fit) -> Fit:
+        """Return a fit of the shifts of a first look as one of all, the others' quantities from `fit`."""
+        each = fit.each.copy()
+        each[self.first] = some.each
+        return replace(some, each=each)
 
     def _in_full(self, jobs: Sequence[tuple[Fit, int]], show: Show) -> list[Fit]:
         """Return full fits, the best first, without causes that are far behind before the last stage."""

@@ -21,6 +21,7 @@ from sil.inference.thresholds import LIMITS, UNNAMED
 from sil.inference.truck.causes import Cause
 from sil.inference.truck.fit import FAR_SD, Fit, Fitter
 from sil.inference.verdict import Conclusion, kind_of
+from sil.inference.workers import spread_out
 
 TEMPER: Final = 1.0 / 3.0
 """Share of a difference in evidence that counts between causes."""
@@ -147,7 +148,11 @@ def _interval(fit: Fit, fits: Sequence[Fit], fitters: dict[bool, Fitter]) -> tup
 
 
 def decide(
-    fits: Sequence[Fit], causes: Sequence[Cause], fitters: dict[bool, Fitter], failed: int
+    fits: Sequence[Fit],
+    causes: Sequence[Cause],
+    fitters: dict[bool, Fitter],
+    failed: int,
+    workers: int = 1,
 ) -> Verdict:
     """Return the verdict on fitted hypotheses; failed: shifts that did not reach their gear."""
     hypotheses, unnamed = weighed(fits, causes, fitters, failed)
@@ -157,7 +162,9 @@ def decide(
     sound = probabilities["healthy"]
     is_wrong = failed > 0 or far >= REPEATED or sound <= LIMITS.max_healthy_probability
     claims = reported(hypotheses, probabilities) if is_wrong and hypotheses[1:] else []
-    claims = [replace(c, interval=_interval(c.fit, fits, fitters)) for c in claims]
+    claims = spread_out(
+        lambda c: replace(c, interval=_interval(c.fit, fits, fitters)), claims, workers
+    )
     if claims and not claims[0].excludes_neutral:
         claims = []
     claims = [claim for claim in claims if claim.excludes_neutral]

@@ -12,7 +12,7 @@ from plant.parameters import load
 from sil.inference.fit import no_progress
 from sil.inference.truck.causes import catalogue
 from sil.inference.truck.diagnosis import rest_noise_m
-from sil.inference.truck.fit import Fit
+from sil.inference.truck.fit import MIDDLE_M, Fit
 from sil.inference.truck.search import EFFORT, Search, _best_of, _capped, _unlike, spread
 from sil.log_replay.recorded_shifts import RecordedShift
 from tests.unit.sil.inference.truck.test_causes import only
@@ -87,6 +87,26 @@ def test_a_first_look_has_a_bump_in_every_place_and_few_variants(search: Search)
     assert names.count("friction_bump") == len(bumps) > 2
     assert names.count("alpha_speed") == 3
     assert set(names) == {cause.id for cause in search.causes}
+
+
+def test_a_first_look_leaves_out_what_moves_nothing_and_what_moves_alike(search: Search) -> None:
+    usual = search.fitters[True].start()
+    leaks = [cause for cause in search.causes if cause.id == "leak_to_atmosphere"]
+    never = next(c for c in search.causes if c.name == "friction_bump:0.0065, 0.0012")
+    gain = only("sensor_gain")
+    jobs = [(usual, cause, size, 0) for size in (3.0, 0.0) for cause in (*leaks, never, gain)]
+    kept = [(cause.name, size) for _truck, cause, size, _seed in search._telling(jobs)]
+    assert (leaks[0].name, 3.0) in kept and (gain.name, 3.0) in kept
+    assert len(kept) < len(leaks) + 2 and not any(size == 0.0 for _name, size in kept)
+
+
+def test_the_best_first_looks_at_an_effect_go_on(search: Search) -> None:
+    usual = search.fitters[True].start(only("piston_leak"))
+    sized = [search._of_first(replace(usual, size=size)) for size in (9.0, 1.5, 3.0, 6.0)]
+    begun = [search._of_all(search.coarse[True].evaluated(fit, MIDDLE_M), usual) for fit in sized]
+    after = search._gone_on(begun, no_progress)
+    assert after[0] is begun[0]  # the worst
+    assert all(fit.cost < was.cost for was, fit in zip(begun[1:], after[1:], strict=True))
 
 
 def test_a_healthy_truck_is_explained(search: Search) -> None:
