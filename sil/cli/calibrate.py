@@ -124,6 +124,7 @@ def _of_logs(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
     from plant.parameters import load_actuator
     from sil.inference.calibrate.logs import calibrate_truck, shifts_figure
     from sil.inference.truck.diagnosis import shifts_of_truck
+    from sil.log_replay.recorded_shifts import BETWEEN_GEARS
 
     logs: list[str] = arguments.campaign
     name = Path(logs[0]).name + (f" and {len(logs) - 1} more" if logs[1:] else "")
@@ -131,6 +132,9 @@ def _of_logs(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
     layout = arguments.map, arguments.dbc
     with Progress(f"calibrating {name}", "%", at_once=True) as progress:
         shifts, broken = shifts_of_truck(logs, parameters, layout, skipped)
+        if astray := skipped[BETWEEN_GEARS]:
+            what = f"{counted(astray, 'shift')} began with the stay between gears"
+            raise InputError(f"{name}: {what}; expected the logs of a healthy truck")
         result = calibrate_truck(shifts, parameters, name, progress, workers=2)
     skips = [f"{counted(n, 'shift')} {why} left out" for why, n in skipped.items()]
     return replace(result, findings=(*skips, *broken)), shifts_figure(result)

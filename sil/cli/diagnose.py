@@ -176,6 +176,7 @@ def run_logs(arguments: argparse.Namespace, stamps: list[str]) -> int:
     from plant.parameters import load_actuator
     from sil.inference.truck.diagnosis import judge, shifts_of_truck
     from sil.inference.truck.page import as_json, write_files
+    from sil.log_replay.recorded_shifts import BETWEEN_GEARS
 
     name = Path(arguments.campaign[0]).name.split(".")[0]
     logs, skipped = arguments.campaign, Counter[str]()
@@ -184,7 +185,7 @@ def run_logs(arguments: argparse.Namespace, stamps: list[str]) -> int:
     folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force, inputs=logs)
     with Progress(f"diagnosing {name}", "%", at_once=True) as progress:
         shifts, broken = shifts_of_truck(logs, parameters, layout, skipped)
-        result = judge(shifts, parameters, broken, progress, workers)
+        result = judge(shifts, parameters, broken, progress, workers, skipped[BETWEEN_GEARS])
     values = finite(as_json(result, logs, dict(skipped)) | {"effects": stamps})
     write_files(result, values, folder, arguments.model, shlex.join(["opc4", *sys.argv[1:]]))
     return _finish(arguments, folder, values)

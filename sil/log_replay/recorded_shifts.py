@@ -48,6 +48,8 @@ LEAD_S: Final = 0.05
 NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
 GIVEN_UP_S: Final = 0.35
 """Time after which a commanded gear that was not reached is a failed shift, not a change of mind."""
+BETWEEN_GEARS: Final = "begun with the stay between gears"
+"""Why a shift cannot be used that is none of a healthy truck."""
 AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
 
 
@@ -223,8 +225,10 @@ class ShiftReader:
         position = (pulse / warmth - self._sensor.t_mid_s) / self._sensor.slope_s_m
         before = position[measured_s < LEAD_S]
         start, end = (self._gear(float(np.median(x))) for x in (before[-8:], position[-5:]))
-        if len(before) < 3 or start is None:
-            return "that do not begin in a gear"
+        if len(before) < 3:
+            return "with too few pulses before it"
+        if start is None:
+            return BETWEEN_GEARS
         pushed = ["BNF"[c] for _, c, duty in episode.commands if duty >= self._duty_open]
         wanted = [gear for gear in pushed if gear != start]
         moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > 3e-4)

@@ -17,6 +17,7 @@ from can_dbc.errors import InputError
 from plant.parameters import ParameterSet
 from sil.files.quantity import counted
 from sil.inference.fit import Show, no_progress
+from sil.inference.thresholds import UNNAMED
 from sil.inference.truck.causes import offered
 from sil.inference.truck.detectable import Detectable, detectable_of
 from sil.inference.truck.fit import FINE_M, Fit, Fitter
@@ -36,7 +37,7 @@ LEAST_NOISE_M: Final = 1.4e-5
 
 @dataclass(frozen=True)
 class TruckDiagnosis:
-    """All that was found of the shifts of one truck; verdict, fitter: None of too few shifts."""
+    """All that was found of the shifts of one truck; verdict, fitter: None of too few shifts; astray: others that began out of any gear."""
 
     kind: str
     shifts: tuple[RecordedShift, ...]
@@ -45,11 +46,12 @@ class TruckDiagnosis:
     verdict: Verdict | None = None
     fitters: dict[bool, Fitter] | None = None
     detectable: tuple[Detectable, ...] = ()
+    astray: int = 0
 
     @property
     def failed(self) -> int:
-        """How many shifts did not reach their gear."""
-        return sum(shift.failed for shift in self.shifts)
+        """How many shifts did not reach their gear, or began out of any."""
+        return sum(shift.failed for shift in self.shifts) + self.astray
 
     def fitter(self, fit: Fit) -> Fitter:
         """Return what a fit is one of."""
@@ -97,11 +99,18 @@ def judge(
     broken: tuple[str, ...] = (),
     show: Show = no_progress,
     workers: int = 1,
+    astray: int = 0,
 ) -> TruckDiagnosis:
-    """Judge the shifts of one truck against the plant of a parameter set; broken: what is wrong in its logs."""
+    """Judge the shifts of one truck against the plant of a parameter set; broken: what is wrong in its logs.
+
+    astray: how many more shifts began with the stay between gears, which a healthy truck's never does.
+    """
     used = spread(shifts, MOST_SHIFTS)
     failed = sum(shift.failed for shift in used)
-    if len(used) < MIN_SHIFTS and not failed:
+    if astray and not used:
+        text = f"{counted(astray, 'shift')} began with the stay between gears"
+        return TruckDiagnosis(UNNAMED, (), (text, *broken), astray=astray)
+    if len(used) < MIN_SHIFTS and not failed + astray:
         text = f"{counted(len(used), 'usable shift')}; at least {MIN_SHIFTS} are needed to judge"
         return TruckDiagnosis("cannot_tell", tuple(used), (text, *broken))
     noise_m, causes = noise_of(used, parameters), offered(used)
@@ -111,13 +120,13 @@ def judge(
     fits = search.run(stages.until(80.0))
     if len(used) > len(few):
         search, fits = search.on_all(used, parameters, noise_m, fits)
-    verdict = decide(fits, causes, search.fitters, failed, workers)
+    verdict = decide(fits, causes, search.fitters, failed, workers, astray)
     stages.until(90.0)
     fit = verdict.healthy.fit
     shown = detectable_of(search.fitters[fit.mounted], fit, causes, workers)
     findings = (*verdict.findings, *broken)
     return TruckDiagnosis(
-        verdict.kind, tuple(used), findings, noise_m, verdict, search.fitters, tuple(shown)
+        verdict.kind, tuple(used), findings, noise_m, verdict, search.fitters, tuple(shown), astray
     )
 
 

@@ -153,14 +153,15 @@ def decide(
     fitters: dict[bool, Fitter],
     failed: int,
     workers: int = 1,
+    astray: int = 0,
 ) -> Verdict:
-    """Return the verdict on fitted hypotheses; failed: shifts that did not reach their gear."""
-    hypotheses, unnamed = weighed(fits, causes, fitters, failed)
+    """Return the verdict on fitted hypotheses; failed: shifts that did not reach their gear; astray: others that began out of any."""
+    hypotheses, unnamed = weighed(fits, causes, fitters, failed + astray)
     probabilities = by_id(hypotheses, unnamed)
     healthy = next(item.fit for item in hypotheses if item.fit.cause is None)
     far = fitters[healthy.mounted].deviating(healthy)
     sound = probabilities["healthy"]
-    is_wrong = failed > 0 or far >= REPEATED or sound <= LIMITS.max_healthy_probability
+    is_wrong = failed + astray > 0 or far >= REPEATED or sound <= LIMITS.max_healthy_probability
     claims = reported(hypotheses, probabilities) if is_wrong and hypotheses[1:] else []
     claims = spread_out(
         lambda c: replace(c, interval=_interval(c.fit, fits, fitters)), claims, workers
@@ -172,6 +173,8 @@ def decide(
     doubt = ""
     if failed:
         findings.append(f"{counted(failed, 'shift')} did not reach the gear commanded")
+    if astray:
+        findings.append(f"{counted(astray, 'shift')} began with the stay between gears")
     if far >= REPEATED:
         findings.append(
             f"a healthy truck is off by more than {FAR_SD:g} sd in {counted(far, 'shift')}"

@@ -18,6 +18,7 @@ from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames
 from sil.log_replay.recorded_shifts import (
+    BETWEEN_GEARS,
     RecordedShift,
     ShiftReader,
     shifts_of,
@@ -182,3 +183,15 @@ def test_a_shift_that_fails_is_data(tmp_path: Path) -> None:
     for shift in failed:
         assert len(shift.time_s) == 96
         assert np.max(np.abs(shift.position_m)) < 0.012
+
+
+def test_a_stay_that_stands_between_gears_is_counted(tmp_path: Path, nominal_log: Path) -> None:
+    skipped = Counter[str]()
+    list(shifts_of(str(nominal_log), load("nominal"), None, skipped))
+    assert skipped[BETWEEN_GEARS] == 0
+    # pushed out of neutral by a constant force, up to the teeth
+    log = tmp_path / "pushed.log"
+    truck_log(log, 3, 4, {"effect.external_force.force_n": 200.0}, nominal=True)
+    shifts = list(shifts_of(str(log), load("nominal"), None, skipped))
+    assert skipped[BETWEEN_GEARS] == 2 and len(shifts) == 1
+    assert all(shift.start in ("B", "F") for shift in shifts)

@@ -12,6 +12,7 @@ from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.inference.truck import diagnosis
 from sil.inference.truck.diagnosis import TruckDiagnosis, judge, shifts_of_truck
+from sil.inference.truck.page import as_json
 from sil.log_replay.recorded_shifts import RecordedShift
 from tests.support.truck_logs import drawn_set, same_but
 
@@ -80,10 +81,19 @@ def test_too_few_shifts_cannot_tell(shifts: list[RecordedShift]) -> None:
     assert found.findings == ("2 usable shifts; at least 3 are needed to judge",)
 
 
+def test_shifts_that_begin_between_gears_are_no_healthy_trucks() -> None:
+    found = judge([], load("nominal"), astray=2)
+    assert (found.kind, found.failed, found.verdict) == ("unnamed", 2, None)
+    values = as_json(found, ["truck.log"], {})
+    text = "Something is wrong: 2 shifts began with the stay between gears; too few shifts to tell why."
+    assert values["headline"] == text
+
+
+@pytest.mark.parametrize(("failed", "astray"), [(2, 0), (0, 1)])
 def test_two_shifts_that_fail_are_judged(
-    shifts: list[RecordedShift], monkeypatch: pytest.MonkeyPatch
+    shifts: list[RecordedShift], monkeypatch: pytest.MonkeyPatch, failed: int, astray: int
 ) -> None:
-    failing = [replace(shift, failed=True) for shift in shifts[:2]]
+    failing = [replace(shift, failed=k < failed) for k, shift in enumerate(shifts[:2])]
     monkeypatch.setattr(
         diagnosis.Search,
         "run",
@@ -91,7 +101,8 @@ def test_two_shifts_that_fail_are_judged(
     )
     monkeypatch.setattr(diagnosis, "detectable_of", lambda *_: [])
     monkeypatch.setattr(diagnosis.Fitter, "deviating", lambda *_: 0)
-    assert judge(failing, load("nominal")).kind == "unnamed"
+    found = judge(failing, load("nominal"), astray=astray)
+    assert (found.kind, found.failed) == ("unnamed", failed + astray)
 
 
 def test_a_log_that_is_not_whole_is_a_finding(nominal_log: Path, tmp_path: Path) -> None:
