@@ -26,28 +26,33 @@ from sil.inference.workers import spread_out
 
 @dataclass(frozen=True)
 class Tested:
-    """What counts as noticed, and which sizes are tested; sizes in typical ones.
-
-    sure: standard deviations of the evidence for 90 % certainty; separable: chi squared by which two causes
-    differ that can be told apart, three standard deviations; largest_rival: size up to which another cause
-    is tried: three deviations of a size's prior; first: the first size by that of a linear model, and at least
-    `least`, growth to the next, at most `tries` and up to `largest`; rounds of a fit, of each while the cause grows through its
-    `shares`; shifts: of more, so many are tested, each for its share; tiny: least information of a cause.
-    """
+    """What counts as noticed, and which sizes are tested; sizes in typical ones."""
 
     sure: float = 1.28
+    """Standard deviations of the evidence for 90 % certainty."""
     separable: float = 9.0
+    """Chi squared by which two causes differ that can be told apart: three standard deviations."""
     largest_rival: float = 10.0
+    """Size up to which another cause is tried: three deviations of a size's prior."""
     first: float = 0.8
+    """First size, by that of a linear model, ..."""
     least: float = 0.25
+    """... and at least this; ..."""
     growth: tuple[float, float] = (1.25, 3.0)
+    """... limits of the factor to the next."""
     tries: int = 6
     largest: float = 20.0
+    """Largest size tried."""
     rounds: int = 8
+    """Of a healthy truck's fit, ..."""
     shares: tuple[float, ...] = (0.33, 0.67, 1.0)
+    """... which also follows the cause through these shares of its size, ..."""
     rounds_each: int = 4
+    """... with so many rounds at each."""
     shifts: int = 6
+    """Shifts that are tested; of more, each stands for its share."""
     tiny: float = 1e-6
+    """Least information of a cause."""
 
 
 TESTED: Final = Tested()

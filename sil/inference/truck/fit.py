@@ -29,50 +29,55 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Priors:
-    """Distributions that a fit assumes; typical sizes of a cause are 1.
-
-    tail: degrees of freedom of a position's error; unit_tail: of what differs between trucks: an unusual
-    truck is no faulty one; size_sd, size_tail: scale and degrees of freedom of a cause's size: a severe
-    fault is no less a fault; instant_s: standard deviation of the instant of a pulse; spreads: limits of an
-    estimated spread between shifts, by its usual value.
-    """
+    """Distributions that a fit assumes; typical sizes of a cause are 1, tails degrees of freedom of Student's t."""
 
     tail: float = 4.0
+    """Of a position's error."""
     unit_tail: float = 6.0
+    """Of what differs between trucks: an unusual truck is no faulty one."""
     size_sd: float = 3.0
+    """Scale of a cause's size."""
     size_tail: float = 2.0
+    """Of a cause's size: a severe fault is no less a fault."""
     instant_s: float = 7e-5
+    """Standard deviation of the instant of a pulse."""
     spreads: tuple[float, float] = (0.02, 3.0)
+    """Limits of an estimated spread between shifts, by its usual value."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How a fit moves.
-
-    farthest_sd: no quantity is tried farther out; followed: rounds in which slopes only follow the
-    steps, where a fit is not judged; dampings: of the steps tried at once; short: share of an
-    undamped one that is tried besides; trip_draws: supplies of a trip that are drawn, with the present one;
-    passing: share of draws in which a cone stops nothing; centrings: iterations of centring; informed: share
-    of a load's variance that a shift leaves at most if its spread is estimated with it; impossible: cost of a
-    shift that cannot be simulated. stuck: cost beyond the median from which a shift begins anew, at most `freed` of them at once, each from so many starts, the best of so many draws, with so
-    many rounds of settling; freeing: cost that it must gain on where it was.
-    """
+    """How a fit moves; costs in log evidence."""
 
     farthest_sd: float = 8.0
+    """No quantity is tried farther out."""
     followed: int = 2
+    """Rounds in which slopes only follow the steps, where a fit is not judged."""
     dampings: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0, 10.0)
+    """Of the steps tried at once."""
     short: float = 0.4
+    """Share of an undamped step that is tried besides."""
     trip_draws: int = 4
+    """Supplies of a trip that are drawn, with the present one."""
     passing: float = 0.2
+    """Share of draws in which a cone stops nothing."""
     centrings: int = 3
     informed: float = 0.9
+    """Share of a load's variance that a shift leaves at most if its spread is estimated with it."""
     impossible: float = 1e6
+    """Cost of a shift that cannot be simulated."""
     stuck: float = 4.0
+    """Cost beyond the median from which a shift begins anew, ..."""
     freed: int = 2
+    """... so many of them at once, ..."""
     starts: int = 8
+    """... each from so many starts, ..."""
     draws: int = 64
+    """... the best of so many draws, ..."""
     settling: int = 6
+    """... with so many rounds of settling ..."""
     freeing: float = 1.0
+    """... if it gains at least this."""
 
 
 PRIORS, STEPS = Priors(), Steps()

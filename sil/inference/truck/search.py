@@ -3,8 +3,9 @@
 A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What
 each cause would gain beside it, by secants with all else free, picks those fitted near it; unless a
 healthy truck explains the shifts, every cause is also fitted to some of them, slight ones in the healthy
-truck, larger ones in a usual one with its loads; those of an effect that are best by then go on. The best are fitted again from other random quantities, healthy from where they are, others
-that look like the leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting.
+truck, larger ones in a usual one with its loads. The best are fitted again from other random quantities,
+healthy from where they are, others that look like the leading one in its truck, and the leading causes in
+other variants, at other sizes and on the other mounting.
 Checked by: tests/unit/sil/inference/truck/test_search.py
 """
 
@@ -37,45 +38,57 @@ from sil.log_replay.recorded_shifts import RecordedShift
 
 @dataclass(frozen=True)
 class Effort:
-    """How far the search goes.
-
-    Of a truck without a cause: supplies (known_supplies where the log states it): deviations at which it is
-    fitted first; seeds: of random quantities from which it is fitted again unless it explains the shifts.
-    Near it: causes that gain at least least_gain of log evidence by secants are fitted, at most `near`,
-    near_fitted of them in full. To some shifts (wide): sizes tried first, in the healthy truck if at most
-    `slight`; first_shifts that a first look takes, tolerance of its integrator; variants of an effect; causes of which sizes around the
-    first are tried, and, of each first size, fitted in full. hopeless: cost
-    behind the best from which a coarse fit is not continued, of which a shift is at most most_of_shift; behind, completed: cost, and number of causes,
-    from which a full one is not, before its last stages, far_behind: before the very last. crossed: causes fitted in the truck of the
-    leading one, at their own sizes or near like_sizes, where they are likest; contesting: causes within `contest` of its log evidence, fitted at sizes by later_sizes;
-    leading: causes contested by other variants, and by a healthy truck from where they are.
-    """
+    """How far the search goes; sizes of causes in typical ones, costs and gains in log evidence."""
 
     supplies: tuple[float, ...] = (0.0, -0.18, -0.09, 0.09)
+    """Deviations of the supply from which a healthy truck is fitted ..."""
     known_supplies: tuple[float, ...] = (0.0, 0.02)
+    """... and where the log states it."""
     seeds: tuple[int, ...] = (5, 6, 7, 8)
+    """Of random quantities from which it is fitted again unless it explains the shifts."""
     least_gain: float = 1.5
+    """Gain by secants from which a cause is fitted beside the healthy truck."""
     near: int = 14
+    """Causes that are at most, ..."""
     near_fitted: int = 6
-    first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 25.0)
+    """... and those of them that are fitted in full."""
     first_shifts: int = 6
-    going_on: int = 3
-    tolerance: float = 1e-4
+    """Shifts that a first look at a cause takes."""
+    first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 25.0)
     slight: float = 3.0
+    """Largest size of which a first look begins in the healthy truck."""
+    tolerance: float = 1e-4
+    """Of the integrator in a first look."""
     variants: int = 3
+    """Variants of an effect that get one."""
+    going_on: int = 3
+    """First looks at an effect, the best after some rounds, that go on."""
     wide_varied: int = 12
+    """Causes of which sizes around the best first look are tried."""
     wide_fitted: int = 3
+    """Causes that are fitted in full, of each first size."""
     hopeless: float = 40.0
+    """Cost behind the best from which a coarse fit is not continued ..."""
     most_of_shift: float = 20.0
+    """... and what a single shift counts in it at most."""
     behind: float = 25.0
+    """Cost behind the best from which a fit is not ended ..."""
     far_behind: float = 12.0
+    """... and from which it is not ended a second time."""
     completed: int = 10
+    """Causes that are ended at most."""
     crossed: int = 5
+    """Causes fitted in the truck of the leading one."""
     like_sizes: tuple[float, ...] = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0)
+    """Sizes near which a cause that is likest to the leading one is sought."""
     contesting: int = 6
+    """Causes that are fitted at later_sizes, at most ..."""
     contest: float = 20.0
+    """... and how far behind the leading one."""
     later_sizes: tuple[float, ...] = (0.65, 0.8, 1.25, 1.6)
+    """Of a cause, by its best one."""
     leading: int = 3
+    """Causes contested by other variants, and by a healthy truck from where they ended."""
 
 
 EFFORT: Final = Effort()
