@@ -20,8 +20,8 @@ class Stages:
         self._begin = self._end = 0.0
 
     def until(self, percent: float) -> Show:
-        """Begin the stage that ends at a percentage of the whole, and return its progress."""
-        self._begin, self._end = self._end, percent
+        """Begin the stage that ends at a percentage of the whole, and return its progress; a stage done again shows none."""
+        self._begin, self._end = self._end, max(self._end, percent)
         self(0.0, 1.0)
         return self
 

@@ -20,7 +20,7 @@ from sil.inference.fit import Show, no_progress
 from sil.inference.thresholds import UNNAMED
 from sil.inference.truck.causes import offered
 from sil.inference.truck.detectable import Detectable, detectable_of
-from sil.inference.truck.fit import FINE_M, Fit, Fitter
+from sil.inference.truck.fit import Fit, Fitter
 from sil.inference.truck.search import Search, spread
 from sil.inference.truck.verdict import MIN_SHIFTS, Hypothesis, Verdict, decide
 from sil.inference.workers import Stages
@@ -60,10 +60,7 @@ class TruckDiagnosis:
 
     def chi2(self, item: Hypothesis) -> float:
         """Return chi squared per number that a hypothesis leaves."""
-        fitter, fit = self.fitter(item.fit), item.fit
-        assert fit.position_m is not None
-        ratio = fitter.off(fit.position_m) ** 2 / fitter.variance(FINE_M)
-        return float(ratio[fitter.model.recorded].mean())
+        return self.fitter(item.fit).chi2(item.fit)
 
 
 def shifts_of_truck(

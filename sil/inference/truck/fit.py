@@ -53,6 +53,8 @@ class Steps:
     """No quantity is tried farther out."""
     followed: int = 2
     """Rounds in which slopes only follow the steps, where a fit is not judged."""
+    steepest_m: float = 15e-3
+    """Derivative of a position by a standard deviation, at most: beyond, it is a jump."""
     dampings: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0, 10.0)
     """Of the steps tried at once."""
     short: float = 0.4
@@ -86,8 +88,6 @@ COARSE_M, MIDDLE_M, FINE_M = 1e-3, 1e-4, 1e-5
 FIRST_FACTOR: Final = 4.0
 """Factor of the noise at which the last stage begins."""
 FACTORS: Final[Floats] = np.exp(np.linspace(0.0, np.log(40.0), 80))
-STEEPEST_M: Final = 15e-3
-"""Derivative of a position by a standard deviation, at most: beyond, it is a jump."""
 PULSE_S: Final = 0.01
 FAR_SD: Final = 5.0
 """Standard deviations of a position that noise hardly ever makes."""
@@ -227,6 +227,12 @@ class Fitter:
         assert fit.position_m is not None
         off = np.abs(self.off(fit.position_m)) > FAR_SD * np.sqrt(self.variance(FINE_M))
         return int((off & self.model.recorded).any(axis=1).sum())
+
+    def chi2(self, fit: Fit) -> float:
+        """Return chi squared per number that a fit leaves."""
+        assert fit.position_m is not None
+        ratio = self.off(fit.position_m) ** 2 / self.variance(FINE_M)
+        return float(ratio[self.model.recorded].mean())
 
     def misfit_cost(self, fit: Fit) -> float:
         """Return the cost of what a fit leaves of the positions, against noise as measured."""
@@ -691,7 +697,7 @@ class Fitter:
 
     def slopes(self, fit: Fit) -> Floats:
         """Return the derivatives [shifts, pulses, quantities + 1] of which evidence is computed, in m."""
-        return np.clip(self.derivatives(fit, 0.3, (1.0, -1.0)), -STEEPEST_M, STEEPEST_M)
+        return np.clip(self.derivatives(fit, 0.3, (1.0, -1.0)), -STEPS.steepest_m, STEPS.steepest_m)
 
     def profile(self, fit: Fit) -> tuple[float, float]:
         """Return the 95 % interval of the size: where the cost, refitted at other sizes, has risen by 2."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from sil.inference.problem import Floats
 from sil.inference.truck.causes import Cause
-from sil.inference.truck.fit import FINE_M, PRIORS, STEEPEST_M, Fit, Fitter
+from sil.inference.truck.fit import FINE_M, PRIORS, STEPS, Fit, Fitter
 from sil.inference.truck.simulator import Bools
 
 
@@ -37,7 +37,9 @@ class Beside:
     @classmethod
     def of(cls, fitter: Fitter, fit: Fit, fixed: bool = False) -> Beside:
         """Linearise a fit by central differences; fixed: the size of its cause is not free."""
-        slopes = np.clip(fitter.derivatives(fit, 0.3, (1.0, -1.0)), -STEEPEST_M, STEEPEST_M)
+        slopes = np.clip(
+            fitter.derivatives(fit, 0.3, (1.0, -1.0)), -STEPS.steepest_m, STEPS.steepest_m
+        )
         variance = fitter.variance(FINE_M, fit.noise_factor)
         residual, weight = fitter.weighted_residual(fit, variance)
         if fixed:
@@ -125,7 +127,7 @@ def secants(fitter: Fitter, fit: Fit, cause: Cause, sizes: Sequence[float]) -> F
     """Return by how much positions [sizes, shifts, pulses] move by a cause of sizes, for one typical size."""
     moves, done = _moves(fitter, fit, cause, sizes)
     slopes = np.where(done[..., None], moves, 0.0) / np.array(sizes)[:, None, None]
-    return np.asarray(np.clip(slopes, -STEEPEST_M, STEEPEST_M))
+    return np.asarray(np.clip(slopes, -STEPS.steepest_m, STEPS.steepest_m))
 
 
 def _moves(fitter: Fitter, fit: Fit, cause: Cause, sizes: Sequence[float]) -> tuple[Floats, Bools]:

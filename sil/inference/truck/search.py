@@ -75,8 +75,14 @@ class Effort:
     """Cost behind the best from which a fit is not ended ..."""
     far_behind: float = 12.0
     """... and from which it is not ended a second time."""
+    most_chi2: float = 0.1
+    """Chi squared per number up to which a fit leaves nothing but noise."""
+    turns: int = 3
+    """Rounds of first looks, from other random quantities each, as long as the best fit leaves more."""
     completed: int = 10
     """Causes that are ended at most."""
+    contests: int = 2
+    """Times that the leading hypothesis is contested, again if it lost."""
     crossed: int = 5
     """Causes fitted in the truck of the leading one."""
     like_sizes: tuple[float, ...] = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0)
@@ -141,23 +147,46 @@ class Search:
         healthy = fits[0]
         gains = gains_of(self.fitters[healthy.mounted], healthy, self.causes)
         near = self._near(healthy, gains, stages)
-        best = _best_of(near, EFFORT.near_fitted)
-        if not self.is_explained(healthy):
-            best += self._wide(healthy, stages)
-        if not best:
+        best, full = _best_of(near, EFFORT.near_fitted), list[Fit]()
+        is_explained = self.is_explained(healthy)
+        for turn in range(1 if is_explained else EFFORT.turns):
+            if not is_explained:
+                best += self._wide(healthy, stages, 100 * turn)
+            full = self._with_full(full, best, stages)
+            if full and self.is_noise(full[0]):
+                break
+            best = []
+        if not full:
             return fits
-        full = self._in_full([(fit, 5) for fit in _unlike(best)], stages.until(75.0))
-        full += self._in_full(self._challengers(full), stages.until(85.0))
-        full.sort(key=lambda fit: -fit.evidence)
-        if full[0].cause is not None and full[0].evidence > healthy.evidence + 3.0:
+        full = self._contested(full, stages)
+        if is_explained and _is_ahead(full[0], healthy):  # before it is named, all get a first look
+            full = self._with_full(full, self._wide(healthy, stages), stages)
+            full = self._contested(full, stages)
+        if _is_ahead(full[0], healthy):
             contesting = _best_of(
                 full, EFFORT.contesting, lambda fit: -fit.evidence, EFFORT.contest
             )
             sizes = [(f, by) for f in contesting if f.cause for by in EFFORT.later_sizes]
             begun = spread_out(self._at_size, sizes, self.workers, stages.until(92.0))
-            full += self._completed(begun, stages.until(95.0))
+            full += self._completed(begun, stages.until(95.0), full)
         leading = _best_of(full, EFFORT.leading, lambda fit: -fit.evidence, np.inf)
         return fits + full + spread_out(self._without, leading, self.workers, stages.until(98.0))
+
+    def _with_full(self, full: list[Fit], best: Sequence[Fit], stages: Stages) -> list[Fit]:
+        """Return full fits, the best first, with those of coarse ones."""
+        jobs = [(fit, 5) for fit in _unlike(best)]
+        more = self._in_full(jobs, stages.until(75.0), full)
+        return sorted(full + more, key=lambda fit: -fit.evidence)
+
+    def _contested(self, full: list[Fit], stages: Stages) -> list[Fit]:
+        """Return full fits, the best first, with those that contest the leading one, again if it lost."""
+        for _ in range(EFFORT.contests):
+            leader = full[0].id
+            full = full + self._in_full(self._challengers(full), stages.until(85.0), full)
+            full.sort(key=lambda fit: -fit.evidence)
+            if full[0].id == leader:
+                break
+        return full
 
     def healthy_fits(self, stages: Stages) -> list[Fit]:
         """Return fits of a healthy truck from several supplies and mountings, the best first."""
@@ -205,6 +234,10 @@ class Search:
         fitter = self.fitters[fit.mounted]
         is_noise = fit.noise_factor <= LIMITS.max_truck_noise and not fitter.deviating(fit)
         return is_noise and fitter.unit_cost(fit.unit) <= LIMITS.max_truck_strain
+
+    def is_noise(self, fit: Fit) -> bool:
+        """Return whether a fit leaves nothing but noise, so that no other could leave much less."""
+        return self.fitters[fit.mounted].chi2(fit) <= EFFORT.most_chi2
 
     def _supply_varies(self) -> bool:
         layout = self.fitters[True].layout
@@ -258,10 +291,11 @@ class Search:
         fit = replace(healthy, cause=cause, size=0.3 * size)
         return self.fitters[fit.mounted].improved(fit, FINE_M, 5, least=0.5)
 
-    def _wide(self, healthy: Fit, stages: Stages) -> list[Fit]:
+    def _wide(self, healthy: Fit, stages: Stages, first_seed: int = 0) -> list[Fit]:
         """Fit every cause to some shifts from several sizes; return the best from each, for all shifts.
 
-        Of a slight size in the healthy truck, of a larger one, and on the other mounting, in a usual one.
+        Of a slight size in the healthy truck, of a larger one, and on the other mounting, in a usual one. first_seed: of
+        the random quantities.
         """
 
         def truck(mounted: bool, size: float) -> Fit:
@@ -276,13 +310,13 @@ class Search:
             (truck(mounted, size), cause, size, seed)
             for mounted in dict.fromkeys((True, healthy.mounted))
             for cause in self._first_look()
-            for seed, size in enumerate(cause.sizes(*sizes[: 5 if cause.sign else 3]))
+            for seed, size in enumerate(cause.sizes(*sizes[: 5 if cause.sign else 3]), first_seed)
         ]
         jobs = self._telling(jobs)
         begun = spread_out(self._begun_on_some, jobs, self.workers, stages.until(37.0))
         begun = self._gone_on(begun, stages.until(40.0))
         around = [
-            (truck(fit.mounted, size), fit.cause, size, len(sizes))
+            (truck(fit.mounted, size), fit.cause, size, first_seed + len(sizes))
             for fit in _best_of(begun, EFFORT.wide_varied, _capped)
             if fit.cause is not None
             for size in (fit.cause.clipped(by * fit.size) for by in EFFORT.later_sizes)
@@ -357,25 +391,38 @@ class Search:
         each[self.first] = some.each
         return replace(some, each=each)
 
-    def _in_full(self, jobs: Sequence[tuple[Fit, int]], show: Show) -> list[Fit]:
-        """Return full fits, the best first, without causes that are far behind before the last stage."""
-        return self._completed(spread_out(self._begun, jobs, self.workers), show)
+    def _in_full(
+        self, jobs: Sequence[tuple[Fit, int]], show: Show, full: Sequence[Fit] = ()
+    ) -> list[Fit]:
+        """Return full fits, the best first, without causes that are far behind before the last stage; full: those there are."""
+        return self._completed(spread_out(self._begun, jobs, self.workers), show, full)
 
-    def _completed(self, begun: Sequence[Fit], show: Show) -> list[Fit]:
+    def _completed(self, begun: Sequence[Fit], show: Show, full: Sequence[Fit] = ()) -> list[Fit]:
         """Fit those to the end that can catch up, and every healthy truck."""
-        kept = self._catching_up(begun, EFFORT.behind)
+        kept = self._catching_up(begun, EFFORT.behind, full)
         fits = spread_out(self._ended, kept, self.workers)
-        leading = self._catching_up(fits, EFFORT.far_behind)
+        leading = self._catching_up(fits, EFFORT.far_behind, full)
         rest = [fit for fit in fits if fit not in leading]
         fits = rest + spread_out(self._ended, leading, self.workers, show)
         return sorted(fits, key=lambda fit: -fit.evidence)
 
-    def _catching_up(self, fits: Sequence[Fit], behind: float) -> list[Fit]:
-        """Return those that are at most so far behind in cost, and every healthy truck."""
-        costs = [self.fitters[fit.mounted].whole_cost(fit) for fit in fits]
+    def _catching_up(
+        self, fits: Sequence[Fit], behind: float, full: Sequence[Fit] = ()
+    ) -> list[Fit]:
+        """Return those that are at most so far behind in cost, and every healthy truck.
+
+        As long as the best one leaves more than noise, what it leaves may be gained by others, too.
+        """
+        costs = [self._whole_cost(fit) for fit in fits]
         near = sorted(c for c, fit in zip(costs, fits, strict=True) if fit.cause)
+        best = min([*fits, *full], key=self._whole_cost, default=None)
+        if best is not None and not self.is_noise(best):
+            behind += self.fitters[best.mounted].misfit_cost(best)
         most = min([min(costs, default=0.0) + behind, *near[: EFFORT.completed][-1:]])
         return [f for c, f in zip(costs, fits, strict=True) if f.cause is None or c <= most]
+
+    def _whole_cost(self, fit: Fit) -> float:
+        return self.fitters[fit.mounted].whole_cost(fit)
 
     def _begun(self, job: tuple[Fit, int]) -> Fit:
         """Fit a hypothesis to all shifts, with more than the noise allowed for."""
@@ -469,6 +516,11 @@ def _unlike(fits: Sequence[Fit]) -> list[Fit]:
         if not any(0.8 < fit.size / k.size < 1.25 for k in like if k.size):
             kept.append(fit)
     return kept
+
+
+def _is_ahead(fit: Fit, healthy: Fit) -> bool:
+    """Return whether a cause explains more than a healthy truck."""
+    return fit.cause is not None and fit.evidence > healthy.evidence + 3.0
 
 
 def _capped(fit: Fit) -> float:

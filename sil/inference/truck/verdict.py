@@ -2,7 +2,7 @@
 
 The hypotheses are one normalised set: a healthy truck, each cause, and something without a name, whose
 odds follow from the noise that the best one leaves, as for campaigns. Between causes differences in
-evidence count a third: fits end in one of many minima, and what the model of a truck gets wrong repeats
+evidence, of each the mean over its variants, count a third: fits end in one of many minima, and what the model of a truck gets wrong repeats
 from shift to shift. What all of them have against a healthy truck is their evidence as it is.
 Checked by: tests/unit/sil/inference/truck/test_verdict.py
 """
@@ -89,8 +89,12 @@ def weighed(
     weights = np.array(priors) * np.exp(evidence - evidence.max())
     wrong = np.array([f.cause is not None for f in kept])
     if wrong.any():
-        gentle = np.array(priors) * np.exp(TEMPER * (evidence - evidence[wrong].max()))
-        weights[wrong] = weights[wrong].sum() * gentle[wrong] / gentle[wrong].sum()
+        alone = np.log(priors) + evidence
+        alike = np.array([[f.id == other.id for other in kept] for f in kept])
+        of_cause = np.logaddexp.reduce(np.where(alike, alone, -np.inf), axis=1)
+        gentle = (alone + (TEMPER - 1.0) * of_cause)[wrong]
+        gentle = np.exp(gentle - gentle.max())
+        weights[wrong] = weights[wrong].sum() * gentle / gentle.sum()
     leader = int(np.argmax(weights))
     unnamed = LIMITS.unnamed_odds(_unexplained_share(kept[leader], best["healthy"], fitters))
     unnamed *= weights[leader]

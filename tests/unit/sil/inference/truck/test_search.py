@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,8 +57,23 @@ def test_of_a_cause_at_nearly_one_size_the_best_fit_is_kept() -> None:
     assert len(_unlike([fits[0], replace(fits[1], mounted=False)])) == 2
 
 
+JUDGE: Any = SimpleNamespace(
+    whole_cost=lambda fit: fit.cost,
+    chi2=lambda fit: fit.noise_factor - 1.0,
+    misfit_cost=lambda _fit: 50.0,
+)
+
+
+def test_others_may_gain_what_the_best_leaves() -> None:
+    search = Search({True: JUDGE}, {}, [], [])
+    fits = [coarse("detent", cost) for cost in (5.0, 40.0, 56.0)]
+    assert search._catching_up(fits, 10.0) == fits[:1]
+    fits[0] = replace(fits[0], noise_factor=1.5)
+    assert search._catching_up(fits, 10.0) == fits
+
+
 def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = Search({True: SimpleNamespace(whole_cost=lambda fit: fit.cost)}, {}, [], [])
+    search = Search({True: JUDGE}, {}, [], [])
     monkeypatch.setattr(search, "_ended", lambda fit: fit)
     fits = [coarse("detent", cost) for cost in (5.0, 8.0, 6.0 + EFFORT.behind)]
     fits.append(replace(fits[0], cause=None, cost=90.0))
@@ -69,7 +85,7 @@ def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.Monke
 
 
 def test_the_very_last_stage_is_for_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = Search({True: SimpleNamespace(whole_cost=lambda fit: fit.cost)}, {}, [], [])
+    search = Search({True: JUDGE}, {}, [], [])
     monkeypatch.setattr(search, "_ended", lambda fit: replace(fit, cost=fit.cost - 0.5))
     fits = [coarse("detent", cost) for cost in (5.0, 6.0 + EFFORT.far_behind)]
     ended = search._completed(fits, no_progress)

@@ -61,6 +61,19 @@ def test_between_causes_evidence_counts_a_third() -> None:
     assert p["healthy"] < 1e-9
 
 
+def test_the_evidence_of_a_cause_is_the_mean_over_its_variants() -> None:
+    variants = [cause for cause in CAUSES if cause.id == "alpha_speed"]
+    fits = [fit("", 0.0), fit("detent", 30.0)]
+    fits += [replace(fits[1], cause=cause) for cause in variants]
+    hypotheses, _ = weighed(fits, CAUSES, FITTERS)
+    p = by_id(hypotheses, 0.0)
+    assert len(variants) > 6 and p["alpha_speed"] == pytest.approx(p["detent"])
+    # one variant alone: a share of the mean, which counts a third as all evidence does
+    hypotheses, _ = weighed(fits[:3], CAUSES, FITTERS)
+    p = by_id(hypotheses, 0.0)
+    assert p["detent"] / p["alpha_speed"] == pytest.approx(len(variants) ** (1 / 3))
+
+
 @pytest.mark.parametrize(
     ("evidence", "kind"), [(0.0, "consistent"), (4.5, "cannot_tell"), (30.0, "named")]
 )
