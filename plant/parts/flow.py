@@ -69,7 +69,7 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
         sign = -1.0
     ratio = low / high
     edge = min(max(ratio, 0.0), 0.999)
-    is_choked = edge < 0.3  # at any gamma below 4: saves a power
+    is_choked = edge < 0.25  # at any gamma up to 5: saves a power
     density = 0.0 if is_choked else edge ** (1.0 / gamma)
     if is_choked or 2.0 * density >= (gamma + 1.0) * edge:  # the root below rises no further
         value = sqrt(gamma * (2.0 / (gamma + 1.0)) ** ((gamma + 1.0) / (gamma - 1.0)))

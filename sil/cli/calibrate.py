@@ -133,7 +133,7 @@ def _of_logs(arguments: argparse.Namespace) -> tuple[Calibration, Figure]:
     with Progress(f"calibrating {name}", "%", at_once=True) as progress:
         shifts, broken = shifts_of_truck(logs, parameters, layout, skipped)
         if astray := skipped[BETWEEN_GEARS]:
-            what = f"{counted(astray, 'shift')} began with the stay between gears"
+            what = f"{counted(astray, 'shift')} {BETWEEN_GEARS}"
             raise InputError(f"{name}: {what}; expected the logs of a healthy truck")
         result = calibrate_truck(shifts, parameters, name, progress, workers=2)
     skips = [f"{counted(n, 'shift')} {why} left out" for why, n in skipped.items()]

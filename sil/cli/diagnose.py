@@ -185,7 +185,8 @@ def run_logs(arguments: argparse.Namespace, stamps: list[str]) -> int:
     folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force, inputs=logs)
     with Progress(f"diagnosing {name}", "%", at_once=True) as progress:
         shifts, broken = shifts_of_truck(logs, parameters, layout, skipped)
-        result = judge(shifts, parameters, broken, progress, workers, skipped[BETWEEN_GEARS])
+        astray = skipped.pop(BETWEEN_GEARS, 0)
+        result = judge(shifts, parameters, broken, progress, workers, astray)
     values = finite(as_json(result, logs, dict(skipped)) | {"effects": stamps})
     write_files(result, values, folder, arguments.model, shlex.join(["opc4", *sys.argv[1:]]))
     return _finish(arguments, folder, values)

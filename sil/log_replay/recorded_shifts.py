@@ -48,8 +48,8 @@ LEAD_S: Final = 0.05
 NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
 GIVEN_UP_S: Final = 0.35
 """Time after which a commanded gear that was not reached is a failed shift, not a change of mind."""
-BETWEEN_GEARS: Final = "begun with the stay between gears"
-"""Why a shift cannot be used that is none of a healthy truck."""
+BETWEEN_GEARS: Final = "began with the stay between gears"
+"""What a shift did that cannot be simulated, and is none of a healthy truck."""
 AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
 
 

@@ -25,7 +25,7 @@ from sil.inference.truck.search import Search, spread
 from sil.inference.truck.verdict import MIN_SHIFTS, Hypothesis, Verdict, decide
 from sil.inference.workers import Stages
 from sil.j1939.mapping import SignalMapping
-from sil.log_replay.recorded_shifts import LEAD_S, RecordedShift, shifts_of
+from sil.log_replay.recorded_shifts import BETWEEN_GEARS, LEAD_S, RecordedShift, shifts_of
 
 MOST_SHIFTS: Final = 120
 """Shifts that are judged; of more, as many spread evenly over the logs."""
@@ -105,7 +105,7 @@ def judge(
     used = spread(shifts, MOST_SHIFTS)
     failed = sum(shift.failed for shift in used)
     if astray and not used:
-        text = f"{counted(astray, 'shift')} began with the stay between gears"
+        text = f"{counted(astray, 'shift')} {BETWEEN_GEARS}"
         return TruckDiagnosis(UNNAMED, (), (text, *broken), astray=astray)
     if len(used) < MIN_SHIFTS and not failed + astray:
         text = f"{counted(len(used), 'usable shift')}; at least {MIN_SHIFTS} are needed to judge"

@@ -2,8 +2,8 @@
 
 The hypotheses are one normalised set: a healthy truck, each cause, and something without a name, whose
 odds follow from the noise that the best one leaves, as for campaigns. Between causes differences in
-evidence, of each the mean over its variants, count a third: fits end in one of many minima, and what the model of a truck gets wrong repeats
-from shift to shift. What all of them have against a healthy truck is their evidence as it is.
+evidence, of each the mean over its variants, count a third: fits end in one of many minima, and what the
+model of a truck gets wrong repeats from shift to shift. What all of them have against a healthy truck is their evidence as it is.
 Checked by: tests/unit/sil/inference/truck/test_verdict.py
 """
 
@@ -22,6 +22,7 @@ from sil.inference.truck.causes import Cause
 from sil.inference.truck.fit import FAR_SD, Fit, Fitter
 from sil.inference.verdict import Conclusion, kind_of
 from sil.inference.workers import spread_out
+from sil.log_replay.recorded_shifts import BETWEEN_GEARS
 
 TEMPER: Final = 1.0 / 3.0
 """Share of a difference in evidence that counts between causes."""
@@ -178,7 +179,7 @@ def decide(
     if failed:
         findings.append(f"{counted(failed, 'shift')} did not reach the gear commanded")
     if astray:
-        findings.append(f"{counted(astray, 'shift')} began with the stay between gears")
+        findings.append(f"{counted(astray, 'shift')} {BETWEEN_GEARS}")
     if far >= REPEATED:
         findings.append(
             f"a healthy truck is off by more than {FAR_SD:g} sd in {counted(far, 'shift')}"
