@@ -1,11 +1,11 @@
 """Hypotheses fitted to a truck's shifts: a healthy truck, each cause, with and without a gearbox.
 
-A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What
-each cause would gain beside it, by secants with all else free, picks those fitted near it; unless a
-healthy truck explains the shifts better than any of these, every cause is also fitted to some of them, slight ones in the healthy
-truck, larger ones in a usual one with its loads, again and again as long as the best fit leaves more than noise. The best are fitted again from other random quantities,
-healthy from where they are, others that look like the leading one in its truck, and the leading causes in
-other variants, at other sizes and on the other mounting.
+A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What each
+cause would gain beside it, by secants with all else free, picks those fitted near it. Unless a healthy truck
+explains the shifts better than any of these, every cause is also fitted to some of them, slight ones in the
+healthy truck, larger ones in a usual one with its loads, and again while the best fit leaves more than noise.
+The best are fitted again from other random quantities, healthy from where they are, others that look like the
+leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting.
 Checked by: tests/unit/sil/inference/truck/test_search.py
 """
 
