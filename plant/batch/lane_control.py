@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plant.batch.lane_steps import WIDTH, lane_modes, lane_parameters
+from plant.equations.length_contacts import note_side
 from plant.integrator import events as event
 from plant.integrator import loop
 from plant.integrator.filling import FOLLOW_GRID
@@ -12,7 +13,7 @@ from plant.integrator.loop import Motion
 from plant.integrator.rest import pass_rest
 from plant.integrator.steppers import dense_element, derivative, explicit_dense
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import Modes, Parameters, flow_map, impact_of
+from plant.kernel.layout import LENGTH, Modes, Parameters, flow_map, impact_of, length_state
 from plant.kernel.records import Record, Value
 from plant.kernel.views import lane, named
 
@@ -93,12 +94,14 @@ def prepare(one, k, o, task, result, n):
             handle_event(event.smallest(o.scratch.guards), one, k, o, task, result)
             continue
         status = loop.STEPPING
-        if task.tabulated and loop.valves_stand(o) and event.at_rest(o.m):
+        if task.tabulated and loop.valves_stand(o) and event.at_rest(o.m) and o.m.blocked == 0:
             status, index = pass_rest(one, k, o, one.stage, one.spare, task, n)
             if index >= 0:
                 handle_event(index, one, k, o, task, result)
                 one.wanted = loop.STEP_AFTER_REST_S
         if status == loop.STEPPING:
+            if o.m.system == LENGTH:
+                note_side(length_state(o.y), o.m, o.p)
             derivative(one.time, o.y, one.rate_0, o, False)
             return loop.choose_step(one, k, task)
         if status != loop.AGAIN:
@@ -178,6 +181,8 @@ def judge(one, k, o, task, result, n):
     one.time = until
     if index < 0 and not last:
         one.accepted = 1.0
+        if o.m.system == LENGTH:
+            note_side(length_state(one.stage), o.m, o.p)
         return loop.choose_step(one, k, task)
     for e in range(n):
         o.y[e] = one.stage[e]

@@ -27,16 +27,13 @@ FREE_OF = (
     "stribeck_v",
     "bump_force",
     "seal_mu",
-    "mesh_force",
-    "pull_force",
-    "sync_impulse",
     "detent_force",
     "leak_piston",
     "leak_atm",
     "alpha_speed",
     "adder",
 )
-MODES_FREE_OF = ("damper", "line", "masses", "oil_rest", "blocked")
+MODES_FREE_OF = ("damper", "line", "masses", "oil_rest")
 lane_parameters = named(layout.Parameters, FREE_OF)
 plain_parameters = named(layout.Parameters, (*FREE_OF, "alpha_v0"))
 lane_modes = named(layout.Modes, MODES_FREE_OF)

@@ -21,7 +21,7 @@ ALPHA_V0, FLOW_SIZE = layout.Parameters.fields["alpha_v0"].start, layout.FlowMap
 NOT_IN_LANES = tuple(layout.Parameters.fields[name].start for name in FREE_OF)
 MODES_NOT_IN_LANES = tuple(layout.Modes.fields[name].start for name in MODES_FREE_OF)
 COUNTERS, FLAT = lane_control.Memory.size, Lane.size * WIDTH
-MOVING_STATES = (layout.FixedState.p_2 + 1, layout.LengthState.p_f + 1)
+MOVING_STATES = (layout.FixedState.p_2 + 1, layout.LengthState.impulse + 1)
 
 
 class Batch(NamedTuple):
