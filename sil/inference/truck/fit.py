@@ -571,49 +571,70 @@ class Fitter:
         return cone, amount / self.layout.shift_sd[cone]
 
     def freed(self, fit: Fit, rng: Rng) -> Fit:
-        """Return a fit in which the shifts farthest off have begun anew from random loads, and the likeliest's, where that is better.
+        """Return a fit in which the shifts farthest off have begun anew, and the likeliest's loads, where that is better.
 
-        A shift may end in a minimum of its own, teeth that part too early, say, from which the truck's
-        quantities do not lead it; what is shared stays as it is until all are fitted again. Its loads may
-        differ from the others' as much as loads ever do: they come together afterwards.
+        Its loads may differ from the others' as much as loads ever do: they come together afterwards.
         """
         fit = self.evaluated(fit, FINE_M)
+        spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
+        each = self.begun_anew(fit, FINE_M, rng)
+        if each is None:
+            return fit
+        anew = self.improved(replace(fit, spread=spread, each=each), FINE_M, 8)
+        anew = self.improved(self.with_scales(anew), FINE_M, 8)
+        return min(anew, self.with_scales(fit), key=self.whole_cost)
+
+    def begun_anew(self, fit: Fit, error_m: float, rng: Rng) -> Floats | None:
+        """Return quantities [shifts, differing] of which the shifts farthest off have begun anew; None if none gains.
+
+        A shift may end in a minimum of its own, teeth that part too early, say, from which the truck's quantities do not
+        lead it; what is shared stays as it is until all are fitted again.
+        """
         assert fit.per_shift is not None
         off = fit.per_shift - np.median(fit.per_shift)
         worst = np.argsort(-off)[: STEPS.freed]
         stuck = worst[off[worst] > STEPS.stuck]
         if not len(stuck):
-            return fit
+            return None
         starts = STEPS.starts
         alone = Fitter(self.model.only(np.repeat(stuck, starts)), self.measured_noise_m)
-        spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
-        anew = alone.begun_anew(replace(fit, spread=spread), rng)
+        wide = replace(fit, spread=self._free_spread(fit, stuck))
+        anew = alone.drawn(wide, rng)
         anew.each[::starts] = fit.each[stuck]
         if self.likeliest is not None:
             anew.each[1::starts] = self.with_loads_of(self.likeliest, fit).each[stuck]
-        anew = alone.evaluated(alone.settled(anew, STEPS.settling), FINE_M)
+        anew = alone.evaluated(alone.settled(anew, STEPS.settling), error_m)
         assert anew.per_shift is not None
-        cost = (anew.per_shift + _own_cost(anew.each, spread)).reshape(-1, starts)
+        cost = (anew.per_shift + _own_cost(anew.each, wide.spread)).reshape(-1, starts)
         gains = cost[:, 0] - cost.min(axis=1) > STEPS.freeing
         if not gains.any():
-            return fit
+            return None
         each = fit.each.copy()
         best = np.arange(len(stuck)) * starts + np.argmin(cost, axis=1)
         each[stuck[gains]] = anew.each[best[gains]]
-        anew = self.improved(replace(fit, spread=spread, each=each), FINE_M, 8)
-        anew = self.improved(self.with_scales(anew), FINE_M, 8)
-        return min(anew, self.with_scales(fit), key=self.whole_cost)
+        return each
+
+    def _free_spread(self, fit: Fit, stuck: Ints) -> Floats:
+        """Return spreads [differing] of shifts that begin anew; the supply's is that of trips if only these are in theirs."""
+        spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
+        others = np.setdiff1d(np.arange(len(self.model)), stuck)
+        trips = self.model.acts[:, self.layout.of_trips]
+        if not (trips[stuck].any(axis=0) & trips[others].any(axis=0)).any():
+            k = int(np.flatnonzero(self.layout.differing == self.layout.at["supply"])[0])
+            of_trip = self.layout.unit_sd[self.layout.of_trips]
+            spread[k] = max([spread[k], *(of_trip / self.layout.shift_sd[k])])
+        return spread
 
     def whole_cost(self, fit: Fit) -> float:
         """Return the cost of a fit, with what its scales cost: the one by which fits compare."""
         scales = self.count * np.log(fit.noise_factor) + (self.mask * np.log(fit.spread)).sum()
         return fit.cost + float(scales)
 
-    def begun_anew(self, fit: Fit, rng: Rng) -> Fit:
+    def drawn(self, fit: Fit, rng: Rng) -> Fit:
         """Return a fit with the best of random quantities for each shift, its loads anywhere."""
         n, own = len(self.model), len(self.layout.differing)
         shape = n, STEPS.draws, own
-        there = rng.normal(size=shape) * (rng.random(shape) < 0.5)
+        there = rng.normal(size=shape) * (rng.random(shape) < 0.5) * np.maximum(fit.spread, 1.0)
         there = np.where(self.layout.is_load, rng.uniform(-3.0, 3.0, shape), there)
         there *= self.mask[:, None, :]
         which = np.repeat(np.arange(n), STEPS.draws)
@@ -687,7 +708,8 @@ class Fitter:
         system = self.system(healthy, common, variance, expected=True)
         volume = np.linalg.slogdet(system.own)[1].sum() + np.linalg.slogdet(system.marginal)[1]
         norm = self.count * np.log(fit.noise_factor) + 0.5 * volume
-        norm += float((self.mask * np.log(fit.spread)).sum())
+        # of every shift: the information holds a prior also for what does not act on one
+        norm += len(self.model) * float(np.log(fit.spread).sum())
         size_sd = 0.0
         if fit.cause is not None:
             size_sd = float(sd[-1])

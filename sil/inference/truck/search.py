@@ -55,7 +55,7 @@ class Effort:
     first_shifts: int = 6
     """Shifts that a first look at a cause takes."""
     first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 25.0)
-    slight: float = 3.0
+    slight: float = 0.0
     """Largest size of which a first look begins in the healthy truck."""
     tolerance: float = 1e-4
     """Of the integrator in a first look."""
@@ -379,7 +379,11 @@ class Search:
     def _further(self, fit: Fit) -> Fit:
         """Fit a cause further to the shifts of a first look."""
         fitter = self.coarse[fit.mounted]
-        return self._of_all(fitter.improved(self._of_first(fit), MIDDLE_M, 8, again=False), fit)
+        some = fitter.evaluated(self._of_first(fit), MIDDLE_M)
+        each = fitter.begun_anew(some, MIDDLE_M, np.random.default_rng(4))
+        if each is not None:
+            some = replace(some, each=each)
+        return self._of_all(fitter.improved(some, MIDDLE_M, 8, again=False), fit)
 
     def _of_first(self, fit: Fit) -> Fit:
         """Return a fit of all shifts as one of those that a first look takes."""
