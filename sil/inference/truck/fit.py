@@ -59,6 +59,8 @@ class Steps:
     """Of the steps tried at once."""
     short: float = 0.4
     """Share of an undamped step that is tried besides."""
+    ridge: int = 4
+    """Random steps that are tried besides."""
     trip_draws: int = 4
     """Supplies of a trip that are drawn, with the present one."""
     passing: float = 0.2
@@ -147,6 +149,15 @@ class System(NamedTuple):
         moved = np.linalg.solve(normal, gradient)
         rest = self.own_gradient - np.einsum("kpi,p->ki", self.coupling, moved)
         return moved, np.einsum("kij,kj->ki", inverse, rest)
+
+    def ridge_steps(self, number: int, rng: Rng) -> list[tuple[Floats, Floats]]:
+        """Return random steps, as `step`, by what the positions leave undetermined of the shared quantities."""
+        inverse = np.linalg.inv(self.own)
+        reach = self.coupling @ inverse
+        widths = np.linalg.cholesky(np.linalg.inv(self.marginal))
+        moved = rng.normal(size=(number, len(widths))) @ widths.T
+        moved *= np.exp(0.7 * rng.normal(size=(number, 1)))
+        return [(one, -np.einsum("kpi,p->ki", reach, one)) for one in moved]
 
     def own_step(self, damping: float) -> Floats:
         """Return the damped step of each shift's quantities [shifts, differing], the shared ones kept."""
@@ -390,6 +401,7 @@ class Fitter:
         fit = self.centred(self.evaluated(fit, error_m), kept)
         stuck, columns = False, np.array(kept, dtype=np.int64)
         slopes, before, age = np.empty(0), fit, followed
+        rng = np.random.default_rng(1)
         for turn in range(rounds):
             if fit.cost <= enough:
                 break
@@ -407,6 +419,7 @@ class Fitter:
                 moved, own = system.step(damping)
                 shares = (1.0, STEPS.short) if damping == 0.0 else (1.0,)
                 trials += [self._moved(fit, share * moved, share * own) for share in shares]
+            trials += [self._moved(fit, *step) for step in system.ridge_steps(STEPS.ridge, rng)]
             tried = self._tried(fit, trials, variance)
             best = min(tried, key=lambda trial: trial.cost)
             # slopes that only followed are taken anew before a fit counts as stuck

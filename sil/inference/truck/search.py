@@ -371,6 +371,9 @@ class Search:
         fit = replace(self._of_first(truck), cause=cause, size=size)
         fit = replace(fit, spread=np.ones_like(fit.spread))
         if not truck.unit.any():  # a usual truck is far from this one
+            column = fitter.layout.at["supply"]
+            fit = replace(fit, unit=fit.unit.copy())
+            fit.unit[column] = EFFORT.supplies[seed % 4] / fitter.layout.unit_sd[column]
             fit = fitter.rescanned(fit, COARSE_M, rng)
             fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True, again=False)
         fit = fitter.rescanned(fit, MIDDLE_M, rng)
