@@ -639,9 +639,20 @@ class Fitter:
         return spread
 
     def whole_cost(self, fit: Fit) -> float:
-        """Return the cost of a fit, with what its scales cost: the one by which fits compare."""
-        scales = self.count * np.log(fit.noise_factor) + (self.mask * np.log(fit.spread)).sum()
-        return fit.cost + float(scales)
+        """Return the cost of a fit, with what its scales and its volume cost: the one by which fits compare."""
+        if self.reference is None:
+            scales = self.count * np.log(fit.noise_factor) + (self.mask * np.log(fit.spread)).sum()
+            return fit.cost + float(scales)
+        return fit.cost + self._volume_cost(fit, self.reference)
+
+    def _volume_cost(self, fit: Fit, slopes: Floats) -> float:
+        """Return the cost of the scales, and of the volume that all but a cause's size have at slopes (Laplace)."""
+        variance = self._variance_of(fit, FINE_M)
+        system = self.system(replace(fit, cause=None), slopes, variance, expected=True)
+        volume = np.linalg.slogdet(system.own)[1].sum() + np.linalg.slogdet(system.marginal)[1]
+        # of every shift: the information holds a prior also for what does not act on one
+        spreads = len(self.model) * np.log(fit.spread).sum()
+        return float(self.count * np.log(fit.noise_factor) + 0.5 * volume + spreads)
 
     def drawn(self, fit: Fit, rng: Rng) -> Fit:
         """Return a fit with the best of random quantities for each shift, its loads anywhere."""
@@ -716,18 +727,12 @@ class Fitter:
         variance = self._variance_of(fit, FINE_M)
         system = self.system(fit, slopes, variance, expected=True)
         sd = np.sqrt(np.diag(np.linalg.inv(system.marginal)))
-        healthy = replace(fit, cause=None)
-        common = slopes if self.reference is None else self.reference
-        system = self.system(healthy, common, variance, expected=True)
-        volume = np.linalg.slogdet(system.own)[1].sum() + np.linalg.slogdet(system.marginal)[1]
-        norm = self.count * np.log(fit.noise_factor) + 0.5 * volume
-        # of every shift: the information holds a prior also for what does not act on one
-        norm += len(self.model) * float(np.log(fit.spread).sum())
+        norm = self._volume_cost(fit, slopes if self.reference is None else self.reference)
         size_sd = 0.0
         if fit.cause is not None:
             size_sd = float(sd[-1])
-            norm += np.log(PRIORS.size_sd / size_sd) - (np.log(2.0) if fit.cause.sign else 0.0)
-        evidence = -(fit.cost + float(norm))
+            norm += float(np.log(PRIORS.size_sd / size_sd)) - (np.log(2.0) if fit.cause.sign else 0.0)
+        evidence = -(fit.cost + norm)
         return replace(fit, evidence=evidence, size_sd=size_sd, unit_sd=sd[: len(self.layout)])
 
     def slopes(self, fit: Fit) -> Floats:
