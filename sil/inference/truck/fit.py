@@ -60,7 +60,9 @@ class Steps:
     short: float = 0.4
     """Share of an undamped step that is tried besides."""
     ridge: int = 4
-    """Random steps that are tried besides."""
+    """Random steps that are tried besides, along what positions leave undetermined ..."""
+    least_information: float = 0.1
+    """... as much as by the priors, at least."""
     trip_draws: int = 4
     """Supplies of a trip that are drawn, with the present one."""
     passing: float = 0.2
@@ -151,12 +153,12 @@ class System(NamedTuple):
         return moved, np.einsum("kij,kj->ki", inverse, rest)
 
     def ridge_steps(self, number: int, rng: Rng) -> list[tuple[Floats, Floats]]:
-        """Return random steps, as `step`, by what the positions leave undetermined of the shared quantities."""
-        inverse = np.linalg.inv(self.own)
-        reach = self.coupling @ inverse
-        widths = np.linalg.cholesky(np.linalg.inv(self.marginal))
-        moved = rng.normal(size=(number, len(widths))) @ widths.T
-        moved *= np.exp(0.7 * rng.normal(size=(number, 1)))
+        """Return random steps, as `step`: of the shared quantities as far as positions leave them undetermined."""
+        information, axes = np.linalg.eigh(self.marginal)
+        widths = axes / np.sqrt(np.maximum(information, STEPS.least_information))
+        moved = np.exp(0.7 * rng.normal(size=(number, 1))) * rng.normal(size=(number, len(axes)))
+        moved = moved @ widths.T
+        reach = self.coupling @ np.linalg.inv(self.own)
         return [(one, -np.einsum("kpi,p->ki", reach, one)) for one in moved]
 
     def own_step(self, damping: float) -> Floats:
