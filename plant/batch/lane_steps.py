@@ -1,8 +1,8 @@
 """Eight lanes side by side: one Runge-Kutta step of all of them as vector instructions.
 
 All numbers of a lane are `WIDTH` apart in one flat array, so that the compiler can prove that nothing overlaps.
-Covered: mapped flow without leaks, line, damper, synchronizer, barriers or added terms (`FREE_OF`); all else belongs
-to the scalar kernel.
+Covered: mapped flow without leaks, line, damper, detent, friction of seals or added terms (`FREE_OF`); all else
+belongs to the scalar kernel.
 """
 
 from __future__ import annotations

@@ -621,7 +621,8 @@ class Fitter:
         anew = alone.evaluated(alone.settled(anew, STEPS.settling), error_m)
         assert anew.per_shift is not None
         cost = (anew.per_shift + _own_cost(anew.each, wide.spread)).reshape(-1, starts)
-        gains = cost[:, 0] - cost.min(axis=1) > STEPS.freeing
+        present = (fit.per_shift + _own_cost(fit.each, wide.spread))[stuck]
+        gains = present - cost.min(axis=1) > STEPS.freeing
         if not gains.any():
             return None
         each = fit.each.copy()
@@ -660,8 +661,9 @@ class Fitter:
         """Return a fit with the best of random quantities for each shift, its loads anywhere."""
         n, own = len(self.model), len(self.layout.differing)
         shape = n, STEPS.draws, own
-        there = rng.normal(size=shape) * (rng.random(shape) < 0.5) * np.maximum(fit.spread, 1.0)
-        there = np.where(self.layout.is_load, rng.uniform(-3.0, 3.0, shape), there)
+        there = rng.normal(size=shape) * (rng.random(shape) < 0.5)
+        load = rng.uniform(-1.0, 1.0, shape) * fit.spread
+        there = np.where(self.layout.is_load, load, there)
         there *= self.mask[:, None, :]
         which = np.repeat(np.arange(n), STEPS.draws)
         amounts = self.layout.amounts(fit.unit, there.reshape(-1, own))
@@ -733,7 +735,9 @@ class Fitter:
         size_sd = 0.0
         if fit.cause is not None:
             size_sd = float(sd[-1])
-            norm += float(np.log(PRIORS.size_sd / size_sd)) - (np.log(2.0) if fit.cause.sign else 0.0)
+            norm += float(np.log(PRIORS.size_sd / size_sd)) - (
+                np.log(2.0) if fit.cause.sign else 0.0
+            )
         evidence = -(fit.cost + norm)
         return replace(fit, evidence=evidence, size_sd=size_sd, unit_sd=sd[: len(self.layout)])
 

@@ -2,8 +2,8 @@
 
 A healthy truck is fitted from several supplies: with friction and mass these are one long ridge. What each
 cause would gain beside it, by secants with all else free, picks those fitted near it. Unless a healthy truck
-explains the shifts better than any of these, every cause is also fitted to some of them, slight ones in the
-healthy truck, larger ones in a usual one with its loads, and again while the best fit leaves more than noise.
+explains the shifts better than any of these, every cause is also fitted to some of them, in a usual truck with
+the healthy one's loads, and again while the best fit leaves more than noise.
 The best are fitted again from other random quantities, healthy from where they are, others that look like the
 leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting.
 Checked by: tests/unit/sil/inference/truck/test_search.py
@@ -41,7 +41,7 @@ class Effort:
     """How far the search goes; sizes of causes in typical ones, costs and gains in log evidence."""
 
     supplies: tuple[float, ...] = (0.0, -0.18, -0.09, 0.09)
-    """Deviations of the supply from which a healthy truck is fitted ..."""
+    """Deviations of the supply from which a healthy truck is fitted, and first looks begin in turn ..."""
     known_supplies: tuple[float, ...] = (0.0, 0.02)
     """... and where the log states it."""
     seeds: tuple[int, ...] = (5, 6, 7, 8)
@@ -55,8 +55,6 @@ class Effort:
     first_shifts: int = 6
     """Shifts that a first look at a cause takes."""
     first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 25.0)
-    slight: float = 0.0
-    """Largest size of which a first look begins in the healthy truck."""
     tolerance: float = 1e-4
     """Of the integrator in a first look."""
     variants: int = 3
@@ -151,7 +149,7 @@ class Search:
         is_explained = self.is_explained(healthy)
         for turn in range(1 if is_explained else EFFORT.turns):
             if not is_explained:
-                best += self._wide(healthy, stages, 100 * turn)
+                best += self._wide(healthy, stages, 101 * turn)
             full = self._with_full(full, best, stages)
             if full and self.is_noise(full[0]):
                 break
@@ -190,8 +188,7 @@ class Search:
 
     def healthy_fits(self, stages: Stages) -> list[Fit]:
         """Return fits of a healthy truck from several supplies and mountings, the best first."""
-        supplies = EFFORT.supplies if self._supply_varies() else EFFORT.known_supplies
-        starts = [(True, supply) for supply in supplies] + [(False, 0.0)]
+        starts = [(True, supply) for supply in self._supplies()] + [(False, 0.0)]
         fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
         fits.sort(key=lambda fit: -fit.evidence)
         if not self.is_explained(fits[0]):
@@ -239,9 +236,10 @@ class Search:
         """Return whether a fit leaves nothing but noise, so that no other could leave much less."""
         return self.fitters[fit.mounted].chi2(fit) <= EFFORT.most_chi2
 
-    def _supply_varies(self) -> bool:
+    def _supplies(self) -> tuple[float, ...]:
         layout = self.fitters[True].layout
-        return bool(layout.unit_sd[layout.at["supply"]] > 0.05)
+        is_known = layout.unit_sd[layout.at["supply"]] <= 0.05
+        return EFFORT.known_supplies if is_known else EFFORT.supplies
 
     def _first_look(self) -> list[Cause]:
         """Return the causes that are fitted coarsely: of each effect the first variants, one in each place."""
@@ -294,20 +292,16 @@ class Search:
     def _wide(self, healthy: Fit, stages: Stages, first_seed: int = 0) -> list[Fit]:
         """Fit every cause to some shifts from several sizes; return the best from each, for all shifts.
 
-        Of a slight size in the healthy truck, of a larger one, and on the other mounting, in a usual one. first_seed: of
-        the random quantities.
+        In a usual truck with the loads of the healthy one, also on its mounting. first_seed: of the random quantities.
         """
 
-        def truck(mounted: bool, size: float) -> Fit:
-            is_slight = mounted is healthy.mounted and abs(size) <= EFFORT.slight
-            if is_slight:
-                return healthy
+        def truck(mounted: bool) -> Fit:
             fitter = self.fitters[mounted]
             return fitter.with_loads_of(healthy, fitter.start())
 
         sizes = EFFORT.first_sizes
         jobs = [
-            (truck(mounted, size), cause, size, seed)
+            (truck(mounted), cause, size, seed)
             for mounted in dict.fromkeys((True, healthy.mounted))
             for cause in self._first_look()
             for seed, size in enumerate(cause.sizes(*sizes[: 5 if cause.sign else 3]), first_seed)
@@ -316,7 +310,7 @@ class Search:
         begun = spread_out(self._begun_on_some, jobs, self.workers, stages.until(37.0))
         begun = self._gone_on(begun, stages.until(40.0))
         around = [
-            (truck(fit.mounted, size), fit.cause, size, first_seed + len(sizes))
+            (truck(fit.mounted), fit.cause, size, first_seed + len(sizes))
             for fit in _best_of(begun, EFFORT.wide_varied, _capped)
             if fit.cause is not None
             for size in (fit.cause.clipped(by * fit.size) for by in EFFORT.later_sizes)
@@ -368,19 +362,17 @@ class Search:
         """Fit a cause of a size in a truck to the shifts of a first look."""
         truck, cause, size, seed = job
         fitter, rng = self.coarse[truck.mounted], np.random.default_rng(seed)
-        fit = replace(self._of_first(truck), cause=cause, size=size)
-        fit = replace(fit, spread=np.ones_like(fit.spread))
-        if not truck.unit.any():  # a usual truck is far from this one
-            column = fitter.layout.at["supply"]
-            fit = replace(fit, unit=fit.unit.copy())
-            fit.unit[column] = EFFORT.supplies[seed % 4] / fitter.layout.unit_sd[column]
-            fit = fitter.rescanned(fit, COARSE_M, rng)
-            fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True, again=False)
+        unit, spread = truck.unit.copy(), np.ones_like(truck.spread)
+        column, supplies = fitter.layout.at["supply"], self._supplies()
+        unit[column] = supplies[seed % len(supplies)] / fitter.layout.unit_sd[column]
+        fit = replace(self._of_first(truck), cause=cause, size=size, unit=unit, spread=spread)
+        fit = fitter.rescanned(fit, COARSE_M, rng)
+        fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True, again=False)
         fit = fitter.rescanned(fit, MIDDLE_M, rng)
         return self._of_all(fitter.improved(fit, MIDDLE_M, 6, again=False), truck)
 
     def _further(self, fit: Fit) -> Fit:
-        """Fit a cause further to the shifts of a first look."""
+        """Fit a cause further to the shifts of a first look, those farthest off from anew."""
         fitter = self.coarse[fit.mounted]
         some = fitter.evaluated(self._of_first(fit), MIDDLE_M)
         each = fitter.begun_anew(some, MIDDLE_M, np.random.default_rng(4))

@@ -207,9 +207,9 @@ class ShiftModel:
         p.p_supply = p.p_supply * self._supply[which] * np.exp(of_trip)
         p.m_s = p.m_s + self.mass_kg * (np.exp(amounts[:, at["mass"]]) - 1.0)
         p.f_linkage = p.f_linkage * np.exp(amounts[:, at["linkage"]])
-        # usual barriers of the teeth; 1e-6 N: holds every stroke in the scalar kernel, which knows all terms
+        # usual barriers of the teeth
         mesh, pull = 600.0 * self.mounted, 300.0 * self.mounted
-        p.mesh_force = np.maximum(1e-6, p.mesh_force + mesh + amounts[:, at["mesh"]])
+        p.mesh_force = np.maximum(0.0, p.mesh_force + mesh + amounts[:, at["mesh"]])
         p.pull_force = np.maximum(0.0, p.pull_force + pull + amounts[:, at["pull"]])
         cone = self._impulse[which] * np.exp(np.clip(amounts[:, at["cone"]], -6.0, 4.0))
         cone = np.maximum(cone - PASSING_N_S, 0.0)

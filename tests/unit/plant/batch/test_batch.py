@@ -14,7 +14,7 @@ from plant.effects import CATALOGUE
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.integrator.loop import DONE
-from plant.kernel.layout import EventRow, FixedState, LengthState, Parameters
+from plant.kernel.layout import EventRow, FixedState, Guard, LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
@@ -96,6 +96,29 @@ def test_lanes_agree_with_the_scalar_kernel(kind):
     assert np.abs(fast.samples[:, :, moving] - slow.samples[:, :, moving]).max() < 20.0
     assert np.abs(fast.samples[:, :, 0] - slow.samples[:, :, 0]).max() < 1e-7
     assert np.abs(fast.final - slow.final).max() < 1.0
+
+
+@pytest.mark.parametrize("kind", ["N-B", "F-N", "N-F"])
+def test_barriers_and_the_synchronizer_are_those_of_the_scalar_kernel(kind):
+    n, rng = 40, np.random.default_rng(6)
+    loads = {
+        Parameters.mesh_force: rng.uniform(0.0, 1200.0, n),
+        Parameters.pull_force: rng.uniform(0.0, 700.0, n),
+        Parameters.sync_impulse: rng.uniform(0.0, 60.0, n) * (rng.random(n) < 0.7),
+    }
+    strokes = varied_strokes(setup(kind, mounted=True), DURATION_S, loads)
+    how = {"sample_s": np.linspace(0.0, DURATION_S, 51), "tolerance": 1e-9, "event_room": 40}
+    fast = simulate_batch(strokes, **how)
+    slow = simulate_batch(strokes, lanes=False, **how)
+    assert fast.in_lanes.all() and not slow.in_lanes.any()
+    assert (fast.status == DONE).all() and (slow.status == DONE).all()
+    assert np.abs(fast.samples[:, :, 0] - slow.samples[:, :, 0]).max() < 1e-7
+    assert np.abs(fast.final - slow.final).max() < 1.0
+    assert fast.final[:, LengthState.impulse] == pytest.approx(
+        slow.final[:, LengthState.impulse], abs=1e-6
+    )
+    guards = fast.events[:, :, EventRow.guard][fast.events[:, :, EventRow.time] > 0.0]
+    assert (guards == Guard.UNBLOCK).any() == (kind != "F-N")
 
 
 def test_events_and_states_are_those_of_a_single_simulation():

@@ -8,7 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sil.inference.truck.fit import COARSE_M, FINE_M, FIRST_FACTOR, MIDDLE_M, Fit, Fitter, System
+from plant.parameters import load
+from sil.inference.truck.diagnosis import rest_noise_m
+from sil.inference.truck.fit import COARSE_M, FINE_M, FIRST_FACTOR, MIDDLE_M, PRIORS, Fit, Fitter, System
+from sil.inference.truck.simulator import ShiftModel
+from sil.log_replay.recorded_shifts import RecordedShift
 from tests.unit.sil.inference.truck.test_causes import only
 
 
@@ -39,6 +43,18 @@ def test_a_step_is_that_of_the_whole_matrix(damping: float) -> None:
 def test_the_marginal_information_is_that_of_the_whole_matrix() -> None:
     system, whole, _ = drawn_system(np.random.default_rng(5))
     assert np.linalg.inv(system.marginal) == pytest.approx(np.linalg.inv(whole)[:3, :3])
+
+
+def test_random_steps_are_as_wide_as_what_is_undetermined() -> None:
+    system, whole, _ = drawn_system(np.random.default_rng(5))
+    steps = system.ridge_steps(20_000, np.random.default_rng(2))
+    moved = np.array([shared for shared, _own in steps])
+    wider = np.exp(2.0 * 0.7**2)  # of a factor exp(0.7 z), on squares
+    assert np.cov(moved.T) == pytest.approx(wider * np.linalg.inv(whole)[:3, :3], abs=0.02)
+    # each shift follows, so that its own gradient stays
+    for shared, own in steps[:5]:
+        left = whole[3:, :3] @ shared + whole[3:, 3:] @ own.ravel()
+        assert left == pytest.approx(np.zeros(4), abs=1e-9)
 
 
 def test_no_round_and_no_scan_makes_a_fit_worse(fitter: Fitter, usual: Fit) -> None:
@@ -81,7 +97,7 @@ def stuck(fitter: Fitter, good: Fit) -> tuple[Fit, int]:
     into_gear = int(np.flatnonzero(fitter.mask[:, loads[1]])[0])
     each = good.each.copy()
     each[into_gear, loads] = -4.0 * fitter.mask[into_gear, loads]
-    fit = fitter.improved(replace(good, each=each), FINE_M, 1)
+    fit = fitter.evaluated(replace(good, each=each), FINE_M)
     assert fit.per_shift is not None and fit.per_shift[into_gear] > 10.0
     return fit, into_gear
 
@@ -103,7 +119,7 @@ def test_a_stuck_shift_tries_the_loads_of_the_likeliest_truck(
     def where_it_was(self: Fitter, there: Fit, rng: object) -> Fit:
         return replace(there, each=np.tile(fit.each[into_gear], (len(self.model), 1)))
 
-    monkeypatch.setattr(Fitter, "begun_anew", where_it_was)
+    monkeypatch.setattr(Fitter, "drawn", where_it_was)
     known = copy.copy(fitter)
     costs = []
     for known.likeliest in (None, good):
@@ -116,6 +132,39 @@ def test_a_stuck_shift_tries_the_loads_of_the_likeliest_truck(
 def test_what_no_shift_is_stuck_in_is_left_as_it_is(fitter: Fitter, usual: Fit) -> None:
     fit = fitter.evaluated(replace(usual, noise_factor=1e3), FINE_M)
     assert fitter.freed(fit, np.random.default_rng(1)).each is fit.each
+
+
+def test_a_shift_alone_in_its_trip_begins_anew_at_any_supply(
+    shifts: list[RecordedShift], good: Fit
+) -> None:
+    trips = [replace(shift, source="other" if k == 1 else "one") for k, shift in enumerate(shifts)]
+    of_two = Fitter(ShiftModel(trips, load("nominal")), rest_noise_m(trips))
+    supply = int(np.flatnonzero(of_two.layout.differing == of_two.layout.at["supply"])[0])
+    fit = replace(good, unit=np.append(good.unit, np.zeros(2)))
+    alone, among = (of_two._free_spread(fit, np.array([k]))[supply] for k in (1, 2))
+    assert among == PRIORS.spreads[1]
+    sd = of_two.layout.unit_sd[of_two.layout.at["supply_1"]]
+    assert alone * of_two.layout.shift_sd[supply] == pytest.approx(sd)
+    fit.unit[of_two.layout.at["supply_1"]] = 3.0  # 30 % too much
+    fit = of_two.evaluated(fit, MIDDLE_M)
+    each = of_two.begun_anew(fit, MIDDLE_M, np.random.default_rng(3))
+    assert each is not None and fit.per_shift is not None
+    after = of_two.evaluated(replace(fit, each=each), MIDDLE_M)
+    assert after.per_shift is not None
+    assert after.per_shift[1] < 0.2 * fit.per_shift[1] and each[1, supply] < -3.5
+    assert (np.delete(each, 1, axis=0) == np.delete(fit.each, 1, axis=0)).all()
+
+
+def test_how_much_a_load_differs_is_no_evidence_where_it_does_not_act(
+    shifts: list[RecordedShift],
+) -> None:
+    bare = Fitter(ShiftModel(shifts, load("nominal"), mounted=False), rest_noise_m(shifts))
+    acts = bare.mask.any(axis=0)
+    fit = bare.start()
+    narrow = replace(fit, spread=np.where(acts, 1.0, 0.02))
+    assert not acts.all()
+    evidence = [bare.with_evidence(each).evidence for each in (fit, narrow)]
+    assert evidence[1] == pytest.approx(evidence[0], abs=1e-6)
 
 
 def test_what_shifts_have_in_common_is_the_trucks(fitter: Fitter, usual: Fit) -> None:
