@@ -59,10 +59,6 @@ class Steps:
     """Of the steps tried at once."""
     short: float = 0.4
     """Share of an undamped step that is tried besides."""
-    ridge: int = 4
-    """Random steps that are tried besides, along what positions leave undetermined ..."""
-    least_information: float = 0.1
-    """... as much as by the priors, at least."""
     trip_draws: int = 4
     """Supplies of a trip that are drawn, with the present one."""
     passing: float = 0.2
@@ -151,15 +147,6 @@ class System(NamedTuple):
         moved = np.linalg.solve(normal, gradient)
         rest = self.own_gradient - np.einsum("kpi,p->ki", self.coupling, moved)
         return moved, np.einsum("kij,kj->ki", inverse, rest)
-
-    def ridge_steps(self, number: int, rng: Rng) -> list[tuple[Floats, Floats]]:
-        """Return random steps, as `step`: of the shared quantities as far as positions leave them undetermined."""
-        information, axes = np.linalg.eigh(self.marginal)
-        widths = axes / np.sqrt(np.maximum(information, STEPS.least_information))
-        moved = np.exp(0.7 * rng.normal(size=(number, 1))) * rng.normal(size=(number, len(axes)))
-        moved = moved @ widths.T
-        reach = self.coupling @ np.linalg.inv(self.own)
-        return [(one, -np.einsum("kpi,p->ki", reach, one)) for one in moved]
 
     def own_step(self, damping: float) -> Floats:
         """Return the damped step of each shift's quantities [shifts, differing], the shared ones kept."""
@@ -403,7 +390,6 @@ class Fitter:
         fit = self.centred(self.evaluated(fit, error_m), kept)
         stuck, columns = False, np.array(kept, dtype=np.int64)
         slopes, before, age = np.empty(0), fit, followed
-        rng = np.random.default_rng(1)
         for turn in range(rounds):
             if fit.cost <= enough:
                 break
@@ -421,7 +407,6 @@ class Fitter:
                 moved, own = system.step(damping)
                 shares = (1.0, STEPS.short) if damping == 0.0 else (1.0,)
                 trials += [self._moved(fit, share * moved, share * own) for share in shares]
-            trials += [self._moved(fit, *step) for step in system.ridge_steps(STEPS.ridge, rng)]
             tried = self._tried(fit, trials, variance)
             best = min(tried, key=lambda trial: trial.cost)
             # slopes that only followed are taken anew before a fit counts as stuck

@@ -45,18 +45,6 @@ def test_the_marginal_information_is_that_of_the_whole_matrix() -> None:
     assert np.linalg.inv(system.marginal) == pytest.approx(np.linalg.inv(whole)[:3, :3])
 
 
-def test_random_steps_are_as_wide_as_what_is_undetermined() -> None:
-    system, whole, _ = drawn_system(np.random.default_rng(5))
-    steps = system.ridge_steps(20_000, np.random.default_rng(2))
-    moved = np.array([shared for shared, _own in steps])
-    wider = np.exp(2.0 * 0.7**2)  # of a factor exp(0.7 z), on squares
-    assert np.cov(moved.T) == pytest.approx(wider * np.linalg.inv(whole)[:3, :3], abs=0.02)
-    # each shift follows, so that its own gradient stays
-    for shared, own in steps[:5]:
-        left = whole[3:, :3] @ shared + whole[3:, 3:] @ own.ravel()
-        assert left == pytest.approx(np.zeros(4), abs=1e-9)
-
-
 def test_no_round_and_no_scan_makes_a_fit_worse(fitter: Fitter, usual: Fit) -> None:
     coarse = fitter.evaluated(usual, COARSE_M)
     scanned = fitter.rescanned(coarse, COARSE_M, np.random.default_rng(1))
