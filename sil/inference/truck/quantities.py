@@ -21,7 +21,8 @@ class Quantity:
     """A quantity of the truck, as a deviation from the usual one; factors in logarithms.
 
     unit_sd, shift_sd: standard deviations between trucks, and between shifts of one (0: none), in its
-    unit; is_load: the latter is only where its own estimation begins; acts: on which shifts.
+    unit; is_load: the latter is only where its own estimation begins; acts: on which shifts; usual: the usual
+    one, of a force.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Quantity:
     shift_sd: float = 0.0
     is_load: bool = False
     acts: str = "always"
+    usual: float = 0.0
 
 
 def quantities(
@@ -54,9 +56,9 @@ def quantities(
         Quantity("supply", "supply pressure", "-", supply, 0.02, True),
         Quantity("linkage", "friction of the linkage", "-", 0.3, acts="mounted"),
         Quantity("mass", "mass of the gearbox", "-", 0.2, acts="mounted"),
-        Quantity("mesh", "barrier into gear", "N", 500.0, 300.0, True, "into gear"),
+        Quantity("mesh", "barrier into gear", "N", 500.0, 300.0, True, "into gear", 600.0),
         # a stay that rebounds meets it on the way into gear, too
-        Quantity("pull", "barrier out of gear", "N", 400.0, 300.0, True, "mounted"),
+        Quantity("pull", "barrier out of gear", "N", 400.0, 300.0, True, "mounted", 300.0),
         Quantity("cone", "impulse per speed difference", "-", 1.0, 0.5, True, "into gear"),
         Quantity("latency", "way of a pulse to the log", "s", 3e-4, 1e-4),
         Quantity("offset", "offset of the position", "m", 1e-4, acts="report"),
@@ -103,4 +105,19 @@ class Layout:
         """Return deviations [shifts, quantities] in their units, of those [quantities] and [shifts, differing] in standard deviations."""
         out = np.repeat((unit * self.unit_sd)[None], len(each), axis=0)
         out[:, self.differing] += each * self.shift_sd
+        return out
+
+    def in_proportion(self, unit: Floats, factor: float) -> Floats:
+        """Return a truck's quantities [quantities], in standard deviations, with supply, loads and mass times a factor.
+
+        It moves nearly as before.
+        """
+        out = unit.copy()
+        for name in ("supply", "mass", "linkage", "cone"):
+            out[self.at[name]] += np.log(factor) / self.unit_sd[self.at[name]]
+        for name in ("mesh", "pull"):
+            column = self.at[name]
+            out[column] += (factor - 1.0) * (
+                self.own[column].usual / self.unit_sd[column] + unit[column]
+            )
         return out

@@ -77,6 +77,12 @@ class Effort:
     """Chi squared per number up to which a fit leaves nothing but noise."""
     turns: int = 3
     """Rounds of first looks, from other random quantities each, as long as the best fit leaves more."""
+    slides: tuple[float, ...] = (0.88, 1.12)
+    """Factors on supply, loads and mass of a fit, ..."""
+    most_slides: int = 3
+    """... at most so often, ..."""
+    least_slide: float = 0.5
+    """... as long as they gain so much."""
     completed: int = 10
     """Causes that are ended at most."""
     contests: int = 2
@@ -402,7 +408,7 @@ class Search:
         fits = spread_out(self._ended, kept, self.workers)
         leading = self._catching_up(fits, EFFORT.far_behind, full)
         rest = [fit for fit in fits if fit not in leading]
-        fits = rest + spread_out(self._ended, leading, self.workers, show)
+        fits = rest + spread_out(self._slid, leading, self.workers, show)
         return sorted(fits, key=lambda fit: -fit.evidence)
 
     def _catching_up(
@@ -437,6 +443,26 @@ class Search:
 
     def _ended(self, fit: Fit) -> Fit:
         return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9), times=2)
+
+    def _slid(self, fit: Fit) -> Fit:
+        """Return a fit, or a better one at another supply with forces and masses in proportion: they are one long ridge."""
+        best = self._ended(fit)
+        if self._supplies() == EFFORT.known_supplies:
+            return best
+        fitter = self.fitters[fit.mounted]
+        for factor in EFFORT.slides:
+            before = best
+            for _ in range(EFFORT.most_slides):
+                unit, rng = fitter.layout.in_proportion(best.unit, factor), np.random.default_rng(1)
+                there = fitter.rescanned(replace(best, unit=unit, noise_factor=1.0), MIDDLE_M, rng)
+                there = self._refined(fitter.improved(there, MIDDLE_M, 10), rng)
+                there = self._ended(there)
+                if there.evidence < best.evidence + EFFORT.least_slide:
+                    break
+                best = there
+            if best is not before:
+                break
+        return best
 
     def _full(self, job: tuple[Fit, int]) -> Fit:
         return self._ended(self._ended(self._begun(job)))

@@ -207,8 +207,7 @@ class ShiftModel:
         p.p_supply = p.p_supply * self._supply[which] * np.exp(of_trip)
         p.m_s = p.m_s + self.mass_kg * (np.exp(amounts[:, at["mass"]]) - 1.0)
         p.f_linkage = p.f_linkage * np.exp(amounts[:, at["linkage"]])
-        # usual barriers of the teeth
-        mesh, pull = 600.0 * self.mounted, 300.0 * self.mounted
+        mesh, pull = (self.layout.own[at[n]].usual * self.mounted for n in ("mesh", "pull"))
         p.mesh_force = np.maximum(0.0, p.mesh_force + mesh + amounts[:, at["mesh"]])
         p.pull_force = np.maximum(0.0, p.pull_force + pull + amounts[:, at["pull"]])
         cone = self._impulse[which] * np.exp(np.clip(amounts[:, at["cone"]], -6.0, 4.0))

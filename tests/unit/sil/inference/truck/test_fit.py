@@ -10,7 +10,16 @@ import pytest
 
 from plant.parameters import load
 from sil.inference.truck.diagnosis import rest_noise_m
-from sil.inference.truck.fit import COARSE_M, FINE_M, FIRST_FACTOR, MIDDLE_M, PRIORS, Fit, Fitter, System
+from sil.inference.truck.fit import (
+    COARSE_M,
+    FINE_M,
+    FIRST_FACTOR,
+    MIDDLE_M,
+    PRIORS,
+    Fit,
+    Fitter,
+    System,
+)
 from sil.inference.truck.simulator import ShiftModel
 from sil.log_replay.recorded_shifts import RecordedShift
 from tests.unit.sil.inference.truck.test_causes import only
