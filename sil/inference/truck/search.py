@@ -82,7 +82,9 @@ class Effort:
     most_slides: int = 3
     """... at most so often, ..."""
     least_slide: float = 0.5
-    """... as long as they gain so much."""
+    """... as long as they gain so much, ..."""
+    behind_slide: float = 1.0
+    """... and are not so far behind in cost when coarse."""
     completed: int = 10
     """Causes that are ended at most."""
     contests: int = 2
@@ -454,9 +456,11 @@ class Search:
             before = best
             for _ in range(EFFORT.most_slides):
                 unit, rng = fitter.layout.in_proportion(best.unit, factor), np.random.default_rng(1)
-                there = fitter.rescanned(replace(best, unit=unit, noise_factor=1.0), MIDDLE_M, rng)
-                there = self._refined(fitter.improved(there, MIDDLE_M, 10), rng)
-                there = self._ended(there)
+                there = replace(best, unit=unit, noise_factor=1.0)
+                there = fitter.improved(fitter.rescanned(there, MIDDLE_M, rng), MIDDLE_M, 10)
+                if there.cost > fitter.evaluated(best, MIDDLE_M).cost + EFFORT.behind_slide:
+                    break
+                there = self._ended(self._refined(there, rng))
                 if there.evidence < best.evidence + EFFORT.least_slide:
                     break
                 best = there
