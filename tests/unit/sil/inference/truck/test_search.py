@@ -76,6 +76,7 @@ def test_others_may_gain_what_the_best_leaves() -> None:
 def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.MonkeyPatch) -> None:
     search = Search({True: JUDGE}, {}, [], [])
     monkeypatch.setattr(search, "_ended", lambda fit: fit)
+    monkeypatch.setattr(search, "_slid", lambda fit: fit)
     fits = [coarse("detent", cost) for cost in (5.0, 8.0, 6.0 + EFFORT.behind)]
     fits.append(replace(fits[0], cause=None, cost=90.0))
     assert {fit.cost for fit in search._completed(fits, no_progress)} == {5.0, 8.0, 90.0}
@@ -88,6 +89,7 @@ def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.Monke
 def test_the_very_last_stage_is_for_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
     search = Search({True: JUDGE}, {}, [], [])
     monkeypatch.setattr(search, "_ended", lambda fit: replace(fit, cost=fit.cost - 0.5))
+    monkeypatch.setattr(search, "_slid", lambda fit: replace(fit, cost=fit.cost - 0.5))
     fits = [coarse("detent", cost) for cost in (5.0, 6.0 + EFFORT.far_behind)]
     ended = search._completed(fits, no_progress)
     assert {fit.cost for fit in ended} == {4.0, 5.5 + EFFORT.far_behind}
@@ -189,6 +191,19 @@ def test_a_healthy_truck_is_explained(search: Search) -> None:
     far[0, 5] += 1e-3
     assert not search.is_explained(replace(fit, position_m=far))
     assert not search.is_explained(replace(fit, unit=fit.unit + 5.0))
+
+
+def test_a_fit_slides_to_the_supply_that_explains_more(search: Search) -> None:
+    fit = search._healthy((True, 0.0))
+    fitter = search.fitters[True]
+    far = replace(fit, unit=fitter.layout.in_proportion(fit.unit, 0.75))
+    far = fitter.improved(fitter.rescanned(far, MIDDLE_M, np.random.default_rng(1)), MIDDLE_M, 10)
+    stuck = search._ended(far)
+    assert stuck.evidence < fit.evidence - 3.0
+    slid = search._slid(far)
+    assert slid.evidence > stuck.evidence + 2.0
+    supply = fitter.layout.at["supply"]
+    assert slid.unit[supply] > stuck.unit[supply] + 0.5
 
 
 def test_a_healthy_truck_is_found_from_where_a_cause_ended(search: Search) -> None:

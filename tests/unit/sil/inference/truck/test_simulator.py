@@ -47,6 +47,16 @@ def test_the_moves_of_valves_are_exact_between_steps(fitter: Fitter) -> None:
     assert np.max(np.abs(near - beyond)) < 2e-4  # 20 us at 1 m/s, and a kink
 
 
+def test_a_truck_in_proportion_moves_nearly_as_before(fitter: Fitter) -> None:
+    model, layout = fitter.model, fitter.model.layout
+    unit = layout.in_proportion(np.zeros(len(layout)), 1.05)
+    there = {item.name: unit[k] * item.unit_sd for k, item in enumerate(layout.own) if unit[k]}
+    assert set(there) == {"supply", "mass", "linkage", "cone", "mesh", "pull"}
+    usual, alone = positions(model), positions(model, supply=there["supply"])
+    moved = np.abs(positions(model, **there) - usual)[model.recorded]
+    assert np.sqrt(np.mean(moved**2)) < 0.5 * np.sqrt(np.mean((alone - usual)[model.recorded] ** 2))
+
+
 def test_barriers_act_on_their_shifts_alone(fitter: Fitter) -> None:
     changed = np.abs(positions(fitter.model, mesh=300.0) - positions(fitter.model)).max(axis=1)
     into = np.array([shift.end in "BF" for shift in fitter.model.shifts])
