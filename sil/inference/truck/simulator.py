@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.instants import NS_PER_S
-from plant.batch.batch import Strokes, simulate_batch
+from plant.batch.batch import Strokes, shared, simulate_batch
 from plant.devices.sensors import InductiveSensor
 from plant.devices.valve import switch_schedule
 from plant.effects import apply_effects
@@ -172,13 +172,14 @@ class ShiftModel:
         latency_s = np.array([s.chain.latency_s for s in setups]) - self.latency_s
         late_s = amounts[:, at["latency"]] + latency_s[of_pair]
         instants = np.maximum(self.time_s[which] - late_s[:, None], 0.0)
-        each = [0] if len(setups) == 1 else of_pair
+        # one for all: rests of a single flow map have a closed form
+        flow, modes = shared([s.c for s in setups]), shared([item.modes for item in actuators])
         strokes = Strokes(
             system=LENGTH,
             packed=packed,
-            flow=np.array([s.c for s in setups])[each],
+            flow=flow if len(flow) == 1 else flow[of_pair],
             initial=initial,
-            modes=np.array([item.modes for item in actuators])[each],
+            modes=modes if len(modes) == 1 else modes[of_pair],
             valves=np.zeros((1, 3)),
             switches=self._switches(which, delays_ns, setups[0]),
             duration_s=instants[:, -1] + 1e-6,
