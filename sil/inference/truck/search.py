@@ -5,7 +5,8 @@ cause would gain beside it, by secants with all else free, picks those fitted ne
 explains the shifts better than any of these, every cause is also fitted to some of them, in a usual truck with
 the healthy one's loads, and again while the best fit leaves more than noise.
 The best are fitted again from other random quantities, healthy from where they are, others that look like the
-leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting.
+leading one in its truck, and the leading causes in other variants, at other sizes and on the other mounting; those
+ahead also at other supplies, with forces and masses in proportion.
 Checked by: tests/unit/sil/inference/truck/test_search.py
 """
 
