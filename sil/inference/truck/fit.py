@@ -576,11 +576,11 @@ class Fitter:
         Its loads may differ from the others' as much as loads ever do: they come together afterwards.
         """
         fit = self.evaluated(fit, FINE_M)
-        spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
         each = self.begun_anew(fit, FINE_M, rng)
         if each is None:
             return fit
-        anew = self.improved(replace(fit, spread=spread, each=each), FINE_M, 8)
+        anew = replace(fit, spread=self._widest(fit), each=each)
+        anew = self.improved(anew, FINE_M, 8)
         anew = self.improved(self.with_scales(anew), FINE_M, 8)
         return min(anew, self.with_scales(fit), key=self.whole_cost)
 
@@ -615,9 +615,13 @@ class Fitter:
         each[stuck[gains]] = anew.each[best[gains]]
         return each
 
+    def _widest(self, fit: Fit) -> Floats:
+        """Return spreads [differing] of which those of loads are as wide as they ever are."""
+        return np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
+
     def _free_spread(self, fit: Fit, stuck: Ints) -> Floats:
         """Return spreads [differing] of shifts that begin anew; the supply's is that of trips if only these are in theirs."""
-        spread = np.where(self.layout.is_load, PRIORS.spreads[1], fit.spread)
+        spread = self._widest(fit)
         others = np.setdiff1d(np.arange(len(self.model)), stuck)
         trips = self.model.acts[:, self.layout.of_trips]
         if not (trips[stuck].any(axis=0) & trips[others].any(axis=0)).any():
@@ -643,7 +647,7 @@ class Fitter:
         return float(self.count * np.log(fit.noise_factor) + 0.5 * volume + spreads)
 
     def drawn(self, fit: Fit, rng: Rng) -> Fit:
-        """Return a fit with the best of random quantities for each shift, its loads anywhere."""
+        """Return a fit with the best of random quantities for each shift, its loads anywhere within their spreads."""
         n, own = len(self.model), len(self.layout.differing)
         shape = n, STEPS.draws, own
         there = rng.normal(size=shape) * (rng.random(shape) < 0.5)

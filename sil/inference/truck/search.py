@@ -450,24 +450,26 @@ class Search:
     def _slid(self, fit: Fit) -> Fit:
         """Return a fit, or a better one at another supply with forces and masses in proportion: they are one long ridge."""
         best = self._ended(fit)
-        if self._supplies() == EFFORT.known_supplies:
-            return best
-        fitter = self.fitters[fit.mounted]
-        for factor in EFFORT.slides:
-            before = best
+        for factor in EFFORT.slides if self._supplies() == EFFORT.supplies else ():
+            further = best
             for _ in range(EFFORT.most_slides):
-                unit, rng = fitter.layout.in_proportion(best.unit, factor), np.random.default_rng(1)
-                there = replace(best, unit=unit, noise_factor=1.0)
-                there = fitter.improved(fitter.rescanned(there, MIDDLE_M, rng), MIDDLE_M, 10)
-                if there.cost > fitter.evaluated(best, MIDDLE_M).cost + EFFORT.behind_slide:
+                there = self._in_proportion(further, factor)
+                if there.evidence < further.evidence + EFFORT.least_slide:
                     break
-                there = self._ended(self._refined(there, rng))
-                if there.evidence < best.evidence + EFFORT.least_slide:
-                    break
-                best = there
-            if best is not before:
-                break
+                further = there
+            if further is not best:
+                return further
         return best
+
+    def _in_proportion(self, fit: Fit, factor: float) -> Fit:
+        """Return a fit from a factor on supply, forces and masses; the same fit if it is far behind when coarse."""
+        fitter, rng = self.fitters[fit.mounted], np.random.default_rng(1)
+        unit = fitter.layout.in_proportion(fit.unit, factor)
+        there = fitter.rescanned(replace(fit, unit=unit, noise_factor=1.0), MIDDLE_M, rng)
+        there = fitter.improved(there, MIDDLE_M, 10)
+        if there.cost > fitter.evaluated(fit, MIDDLE_M).cost + EFFORT.behind_slide:
+            return fit
+        return self._ended(self._refined(there, rng))
 
     def _full(self, job: tuple[Fit, int]) -> Fit:
         return self._ended(self._ended(self._begun(job)))
