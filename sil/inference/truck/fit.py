@@ -13,7 +13,6 @@ Checked by: tests/unit/sil/inference/truck/test_fit.py
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
@@ -137,25 +136,25 @@ class System(NamedTuple):
     own: Floats
     own_gradient: Floats
 
-    def step(self, damping: float) -> tuple[Floats, Floats]:
-        """Return the damped step of the shared quantities [shared] and of each shift's [shifts, differing]."""
-        inverse = self._own_inverse(damping)
+    def steps(self, dampings: Sequence[float]) -> tuple[Floats, Floats]:
+        """Return the steps at dampings [n]: of the shared quantities [n, shared] and of each shift's [n, shifts, differing]."""
+        inverse = self._own_inverses(dampings)
         reach = self.coupling @ inverse
-        normal = self.shared + damping * np.diag(np.diag(self.shared))
-        normal = normal - np.einsum("kpi,kqi->pq", reach, self.coupling)
-        gradient = self.shared_gradient - np.einsum("kpi,ki->p", reach, self.own_gradient)
+        normal = self.shared + np.reshape(dampings, (-1, 1, 1)) * np.diag(np.diag(self.shared))
+        normal = normal - (reach @ np.swapaxes(self.coupling, 1, 2)).sum(axis=1)
+        own_gradient = self.own_gradient[..., None]
+        gradient = self.shared_gradient[:, None] - (reach @ own_gradient).sum(axis=1)
         moved = np.linalg.solve(normal, gradient)
-        rest = self.own_gradient - np.einsum("kpi,p->ki", self.coupling, moved)
-        return moved, np.einsum("kij,kj->ki", inverse, rest)
+        rest = own_gradient - np.swapaxes(self.coupling, 1, 2) @ moved[:, None]
+        return moved[..., 0], (inverse @ rest)[..., 0]
 
-    def own_step(self, damping: float) -> Floats:
-        """Return the damped step of each shift's quantities [shifts, differing], the shared ones kept."""
-        return np.asarray(np.einsum("kij,kj->ki", self._own_inverse(damping), self.own_gradient))
+    def own_steps(self, dampings: Sequence[float]) -> Floats:
+        """Return the steps of each shift's quantities [n, shifts, differing] at dampings [n], the shared ones kept."""
+        return np.asarray((self._own_inverses(dampings) @ self.own_gradient[..., None])[..., 0])
 
-    def _own_inverse(self, damping: float) -> Floats:
-        diagonal = np.einsum("kii->ki", self.own)[:, :, None] * np.eye(self.own.shape[1])
-        inverse: Floats = np.linalg.inv(self.own + damping * diagonal)
-        return inverse
+    def _own_inverses(self, dampings: Sequence[float]) -> Floats:
+        diagonal = self.own * np.eye(self.own.shape[1])
+        return np.asarray(np.linalg.inv(self.own + np.reshape(dampings, (-1, 1, 1, 1)) * diagonal))
 
     @property
     def marginal(self) -> Floats:
@@ -163,6 +162,30 @@ class System(NamedTuple):
         reach = self.coupling @ np.linalg.inv(self.own)
         out: Floats = self.shared - np.einsum("kpi,kqi->pq", reach, self.coupling)
         return out
+
+
+class Trials(NamedTuple):
+    """Fits to choose from, as arrays: size [trials], the others as of `Fit` with the trials in front."""
+
+    unit: Floats
+    each: Floats
+    size: Floats
+    position_m: Floats
+    per_shift: Floats
+    cost: Floats
+
+    def of(self, number: int, fit: Fit) -> Fit:
+        """Return one of them, else as a fit."""
+        unit, each, size, position_m, per_shift, cost = (array[number] for array in self)
+        return replace(
+            fit,
+            unit=unit,
+            each=each,
+            size=float(size),
+            position_m=position_m,
+            per_shift=per_shift,
+            cost=float(cost),
+        )
 
 
 class Fitter:
@@ -211,7 +234,7 @@ class Fitter:
     @staticmethod
     def unit_cost(unit: Floats, size: float = 0.0) -> float:
         """Return the cost of the truck's quantities [quantities] and a cause's size."""
-        return float(_tail_cost(unit).sum()) + _size_cost(size)
+        return float(_tail_cost(unit).sum() + _size_cost(size))
 
     def factor_of(self, x: Floats) -> float:
         """Return the likeliest factor of the noise that leaves positions [shifts, pulses]."""
@@ -275,52 +298,50 @@ class Fitter:
         shared: also by what does not differ between shifts.
         """
         assert fit.position_m is not None
-        model, layout = self.model, self.layout
-        steps, n = self._steps(share), len(model)
-        amounts = layout.amounts(fit.unit, fit.each)
-        rows, moved, sizes = [], [], []
-        places: list[tuple[int, Ints, float]] = []
-        for column, item in enumerate(layout.own):
-            own = np.flatnonzero(model.acts[:, column])
-            is_known = item.acts == "report" or column in layout.of_trips
-            if is_known or not len(own) or not (shared or item.shift_sd):
-                continue
+        layout = self.layout
+        rows, columns = np.nonzero(self._moving(fit, shared))
+        base = np.nan_to_num(fit.position_m)
+        sizes = np.full((len(base), 1), fit.size)
+        here = np.hstack([layout.amounts(fit.unit, fit.each), sizes])[rows]
+        by = np.append(self._steps(share), 0.0)[columns]
+        moves = []
+        for side in sides:
             # a cone that stops nothing has no slope: towards where it stops the stay it has a step
-            for side in (1.0,) if item.name == "cone" else sides:
-                there = amounts[own].copy()
-                there[:, column] += side * steps[column]
-                rows.append(own)
-                moved.append(there)
-                sizes.append(np.full(len(own), fit.size))
-                by = side * steps[column] / layout.unit_sd[column]
-                places.append((column, own, by))
-        if fit.cause is not None and shared:
-            for side in sides:
-                size = fit.cause.clipped(fit.size + side * share)
-                if size == fit.size:
-                    size = fit.cause.clipped(fit.size - side * share)
-                rows.append(np.arange(n))
-                moved.append(amounts)
-                sizes.append(np.full(n, size))
-                places.append((len(layout), np.arange(n), size - fit.size))
-        x, done = model.positions(
-            np.concatenate(rows), np.concatenate(moved), fit.cause, np.concatenate(sizes)
+            moves.append(np.where(columns == layout.at["cone"], 1.0, side) * by)
+            moves[-1][columns == len(layout)] = self._size_step(fit, side * share)
+        there = np.tile(here, (len(sides), 1))
+        there[np.arange(len(there)), np.tile(columns, len(sides))] += np.concatenate(moves)
+        x, done = self.model.positions(
+            np.tile(rows, len(sides)), there[:, :-1], fit.cause, there[:, -1]
         )
-        x, base = np.nan_to_num(x), np.nan_to_num(fit.position_m)
-        out = np.zeros((n, x.shape[1], len(layout) + 1))
-        first, number = 0, Counter(column for column, *_ in places)
-        for column, own, by in places:
-            last = first + len(own)
-            change = (x[first:last] - base[own]) / (by * number[column])
-            out[own, :, column] += change * done[first:last, None]
-            first = last
+        x = np.where(done[:, None], np.nan_to_num(x), np.tile(base[rows], (len(sides), 1)))
+        out = np.zeros((*base.shape, len(layout) + 1))
+        scale = np.append(layout.unit_sd, 1.0)[columns] / len(sides)
+        for move, moved in zip(moves, x.reshape(len(sides), len(rows), -1), strict=True):
+            out[rows, :, columns] += (moved - base[rows]) * (scale / move)[:, None]
         supply = layout.at["supply"]
         for column in layout.of_trips if shared else ():  # the same pressure, in other units
-            ratio = layout.unit_sd[column] / layout.unit_sd[supply] * model.acts[:, column]
+            ratio = layout.unit_sd[column] / layout.unit_sd[supply] * self.model.acts[:, column]
             out[:, :, column] = out[:, :, supply] * ratio[:, None]
         out[:, :, layout.at["offset"]] = layout.unit_sd[layout.at["offset"]]
         out[:, :, layout.at["gain"]] = fit.position_m * layout.unit_sd[layout.at["gain"]]
         return out
+
+    def _moving(self, fit: Fit, shared: bool) -> Bools:
+        """Return by which quantities of which shifts, and size [shifts, quantities + 1], positions have to be simulated anew."""
+        moves = self.model.acts & self.layout.simulated
+        if not shared:
+            moves &= np.isin(np.arange(len(self.layout)), self.layout.differing)
+        by_size = np.full((len(moves), 1), shared and fit.cause is not None)
+        return np.hstack([moves, by_size])
+
+    @staticmethod
+    def _size_step(fit: Fit, step: float) -> float:
+        """Return a step of the size, to the other side where the size has its limit."""
+        if fit.cause is None:
+            return 0.0
+        size = fit.cause.clipped(fit.size + step)
+        return (size if size != fit.size else fit.cause.clipped(fit.size - step)) - fit.size
 
     def own_derivatives(self, derivatives: Floats) -> Floats:
         """Return the derivatives [shifts, pulses, differing] in m by each shift's quantities, of all of them."""
@@ -360,10 +381,10 @@ class Fitter:
         turned = np.swapaxes
         return System(
             (turned(weighted, 1, 2) @ by_unit).sum(axis=0) + np.diag(prior),
-            np.einsum("ktp,kt->p", weighted, rest) - prior * value,
+            weighted.reshape(-1, shared).T @ rest.ravel() - prior * value,
             turned(weighted, 1, 2) @ by_own,
             turned(weighted_own, 1, 2) @ by_own + np.diag(1.0 / fit.spread**2),
-            np.einsum("ktp,kt->kp", weighted_own, rest) - fit.each / fit.spread**2,
+            (turned(weighted_own, 1, 2) @ rest[..., None])[..., 0] - fit.each / fit.spread**2,
         )
 
     # --- fits
@@ -402,18 +423,13 @@ class Fitter:
             if fixed and fit.cause is not None:
                 system.shared[-1, -1], system.shared_gradient[-1] = 1e15, 0.0
             system.shared[columns, columns], system.shared_gradient[columns] = 1e15, 0.0
-            trials = []
-            for damping in STEPS.dampings:
-                moved, own = system.step(damping)
-                shares = (1.0, STEPS.short) if damping == 0.0 else (1.0,)
-                trials += [self._moved(fit, share * moved, share * own) for share in shares]
-            tried = self._tried(fit, trials, variance)
-            best = min(tried, key=lambda trial: trial.cost)
+            unit, each, size = self._moved(fit, *system.steps(STEPS.dampings))
+            tried = self._tried(fit, unit, each, size, variance)
             # slopes that only followed are taken anew before a fit counts as stuck
-            if best.cost >= fit.cost - least and not age:
-                other = self._tried(fit, [self.with_loads_of(fit, t) for t in trials], variance)
-                pairs = zip(tried, other, strict=True)
-                best = min((self._joined(*pair) for pair in pairs), key=lambda t: t.cost)
+            if tried.cost.min() >= fit.cost - least and not age:
+                other = self._tried(fit, unit, self._loads_of(fit, unit, each), size, variance)
+                tried = self._joined(fit, tried, other)
+            best = tried.of(int(np.argmin(tried.cost)), fit)
             if best.cost < fit.cost - least:
                 before, fit, stuck = fit, self.centred(best, kept), False
             elif stuck or (not age and not again):
@@ -433,53 +449,59 @@ class Fitter:
         out: Floats = slopes + np.nan_to_num(rest)[:, :, None] * along[:, None, :]
         return out
 
-    def _tried(self, fit: Fit, trials: Sequence[Fit], variance: Floats) -> list[Fit]:
-        """Return trials with their predictions and costs at a variance [shifts, pulses]."""
-        which = np.tile(np.arange(len(self.model)), len(trials))
-        x, done = self.model.positions(
-            which,
-            np.concatenate([self.layout.amounts(t.unit, t.each) for t in trials]),
-            fit.cause,
-            np.repeat([t.size for t in trials], len(self.model)),
-        )
-        per_shift = self._misfit(x, done, which, variance).reshape(len(trials), -1)
-        rows = zip(trials, x.reshape(*per_shift.shape, -1), per_shift, strict=True)
-        return [
-            replace(t, position_m=own_x, per_shift=own, cost=float(own.sum()) + self.prior_cost(t))
-            for t, own_x, own in rows
-        ]
+    def _tried(
+        self, fit: Fit, unit: Floats, each: Floats, size: Floats, variance: Floats
+    ) -> Trials:
+        """Return trials [n, ...] of the hypothesis of a fit with their costs at a variance [shifts, pulses]."""
+        shape = each.shape[:2]
+        which = np.tile(np.arange(shape[1]), shape[0])
+        amounts = self.layout.amounts(unit, each).reshape(len(which), -1)
+        x, done = self.model.positions(which, amounts, fit.cause, np.repeat(size, shape[1]))
+        per_shift = self._misfit(x, done, which, variance).reshape(shape)
+        x = x.reshape(*shape, -1)
+        return self._judged(fit, Trials(unit, each, size, x, per_shift, size))
+
+    def _judged(self, fit: Fit, trials: Trials) -> Trials:
+        """Return trials with their costs, at the spread of a fit."""
+        own = trials.per_shift + _own_cost(trials.each, fit.spread)
+        unit = _tail_cost(trials.unit).sum(axis=1) + _size_cost(trials.size)
+        return trials._replace(cost=own.sum(axis=1) + unit)
 
     def with_loads_of(self, other: Fit, fit: Fit) -> Fit:
         """Return a fit in which each shift has the loads of its gears as in another one."""
+        return replace(fit, each=self._loads_of(other, fit.unit, fit.each))
+
+    def _loads_of(self, other: Fit, unit: Floats, each: Floats) -> Floats:
+        """Return quantities [..., shifts, differing] with the loads of gears as in a fit, in trucks [..., quantities]."""
         columns = self.layout.differing[self.layout.of_gears]
         ratio = self.layout.unit_sd[columns] / self.layout.shift_sd[self.layout.of_gears]
-        each = fit.each.copy()
-        moved = ratio * (fit.unit - other.unit)[columns]
-        each[:, self.layout.of_gears] = other.each[:, self.layout.of_gears] - moved
-        return replace(fit, each=each * self.mask)
+        moved = ratio * (unit - other.unit)[..., None, columns]
+        each = each.copy()
+        each[..., self.layout.of_gears] = other.each[:, self.layout.of_gears] - moved
+        return np.asarray(each * self.mask)
 
-    def _joined(self, one: Fit, other: Fit) -> Fit:
-        """Return a trial with each shift as in the better one of two: cones and teeth stop it, or not."""
-        assert one.per_shift is not None and one.position_m is not None
-        assert other.per_shift is not None and other.position_m is not None
-        own, others = (_own_cost(fit.each, fit.spread) for fit in (one, other))
-        better = one.per_shift + own > other.per_shift + others
-        per_shift = np.where(better, other.per_shift, one.per_shift)
-        joined = replace(
-            one,
-            each=np.where(better[:, None], other.each, one.each),
-            position_m=np.where(better[:, None], other.position_m, one.position_m),
-            per_shift=per_shift,
+    def _joined(self, fit: Fit, one: Trials, other: Trials) -> Trials:
+        """Return trials with each shift as in the better one of two: cones and teeth stop it, or not."""
+        own, others = (t.per_shift + _own_cost(t.each, fit.spread) for t in (one, other))
+        better = own > others
+        wide = better[..., None]
+        joined = one._replace(
+            each=np.where(wide, other.each, one.each),
+            position_m=np.where(wide, other.position_m, one.position_m),
+            per_shift=np.where(better, other.per_shift, one.per_shift),
         )
-        return replace(joined, cost=float(per_shift.sum()) + self.prior_cost(joined))
+        return self._judged(fit, joined)
 
-    def _moved(self, fit: Fit, shared: Floats, own: Floats) -> Fit:
-        """Return a fit after a step, within the limits."""
-        units = len(self.layout)
-        unit = np.clip(fit.unit + shared[:units], -STEPS.farthest_sd, STEPS.farthest_sd)
-        each = np.clip(fit.each + own, -STEPS.farthest_sd, STEPS.farthest_sd) * self.mask
-        size = fit.size if fit.cause is None else fit.cause.clipped(fit.size + shared[units])
-        return replace(fit, unit=unit, each=each, size=size)
+    def _moved(self, fit: Fit, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return quantities and sizes after steps [n, ...] and, besides, a short one of the first, within the limits."""
+        shared, own = (np.concatenate([STEPS.short * step[:1], step]) for step in (shared, own))
+        units, most = len(self.layout), STEPS.farthest_sd
+        unit = np.clip(fit.unit + shared[:, :units], -most, most)
+        each = np.clip(fit.each + own, -most, most) * self.mask
+        size = np.full(len(shared), fit.size)
+        if fit.cause is not None:
+            size = np.clip(fit.size + shared[:, units], *fit.cause.bounds)
+        return unit, each, size
 
     def centred(self, fit: Fit, kept: Sequence[int] = ()) -> Fit:
         """Return a fit with the same predictions that its priors like better.
@@ -670,8 +692,8 @@ class Fitter:
             side = (1.0, -1.0)[turn % 2]
             derivatives = self.derivatives(fit, 0.1 if turn else 0.3, (side,), shared=False)
             system = self.system(fit, derivatives, variance)
-            steps = [system.own_step(damping) for damping in STEPS.dampings]
-            trials = [fit.each, *(fit.each + step for step in (STEPS.short * steps[0], *steps))]
+            steps = system.own_steps(STEPS.dampings)
+            trials = fit.each + np.concatenate([0.0 * steps[:1], STEPS.short * steps[:1], steps])
             each = np.clip(trials, -STEPS.farthest_sd, STEPS.farthest_sd) * self.mask
             which = np.tile(rows, len(each))
             amounts = self.layout.amounts(fit.unit, each.reshape(-1, each.shape[2]))
@@ -747,7 +769,7 @@ class Fitter:
                     size = 0.0
                 moved = replace(moved, size=size)
                 moved = self.improved(moved, FINE_M, 6, least=0.1, fixed=True, followed=0)
-                rise = moved.cost - fit.cost - _size_cost(size) + _size_cost(fit.size)
+                rise = moved.cost - fit.cost - float(_size_cost(size) - _size_cost(fit.size))
                 if rise > 2.0:
                     share = (2.0 - last[1]) / max(rise - last[1], 1e-9)
                     last = (last[0] + (size - last[0]) * share, 2.0)
@@ -764,11 +786,10 @@ def _tail_cost(unit: Floats) -> Floats:
     return np.asarray(0.5 * (PRIORS.unit_tail + 1.0) * np.log1p(unit**2 / PRIORS.unit_tail))
 
 
-def _size_cost(size: float) -> float:
-    """Return the cost of a cause's size by Student's t."""
-    return float(
-        0.5 * (PRIORS.size_tail + 1.0) * np.log1p((size / PRIORS.size_sd) ** 2 / PRIORS.size_tail)
-    )
+def _size_cost(size: Floats | float) -> Floats:
+    """Return the cost of a cause's size [...] by Student's t."""
+    ratio = (np.asarray(size) / PRIORS.size_sd) ** 2 / PRIORS.size_tail
+    return np.asarray(0.5 * (PRIORS.size_tail + 1.0) * np.log1p(ratio))
 
 
 def _own_cost(each: Floats, spread: Floats) -> Floats:

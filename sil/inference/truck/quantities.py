@@ -82,7 +82,8 @@ class Layout:
     """Quantities as columns of arrays.
 
     at: column by name; unit_sd [quantities], shift_sd [differing]; differing: columns of the quantities
-    that differ between shifts; of_trips: columns of the supplies of trips; is_load: which of these have an estimated standard deviation;
+    that differ between shifts; of_trips: columns of the supplies of trips; simulated [quantities]: whose derivatives
+    have to be; is_load: which of these have an estimated standard deviation;
     of_gears: which of these are loads of getting into a gear, or out of it.
     """
 
@@ -95,6 +96,8 @@ class Layout:
         self.of_trips = np.array(
             [k for k, item in enumerate(own) if item.acts.startswith("trip")], dtype=np.int64
         )
+        elsewhere = ("report", "trip")  # of what was simulated, or as of another quantity
+        self.simulated = np.array([not item.acts.startswith(elsewhere) for item in own])
         self.is_load = np.array([own[k].is_load for k in self.differing])
         self.of_gears = np.flatnonzero(self.is_load & (self.differing != self.at["supply"]))
 
@@ -102,9 +105,9 @@ class Layout:
         return len(self.own)
 
     def amounts(self, unit: Floats, each: Floats) -> Floats:
-        """Return deviations [shifts, quantities] in their units, of those [quantities] and [shifts, differing] in standard deviations."""
-        out = np.repeat((unit * self.unit_sd)[None], len(each), axis=0)
-        out[:, self.differing] += each * self.shift_sd
+        """Return deviations [..., shifts, quantities] in their units, of those [..., quantities] and [..., shifts, differing] in standard deviations."""
+        out = np.repeat((unit * self.unit_sd)[..., None, :], each.shape[-2], axis=-2)
+        out[..., self.differing] += each * self.shift_sd
         return out
 
     def in_proportion(self, unit: Floats, factor: float) -> Floats:

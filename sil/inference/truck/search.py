@@ -80,6 +80,8 @@ class Effort:
     """Rounds of first looks, from other random quantities each, as long as the best fit leaves more."""
     slides: tuple[float, ...] = (0.88, 1.12)
     """Factors on supply, loads and mass of a fit, ..."""
+    sliding: float = 3.0
+    """... if it is at most so far behind the best of its cause in log evidence, ..."""
     most_slides: int = 3
     """... at most so often, ..."""
     least_slide: float = 0.5
@@ -170,27 +172,25 @@ class Search:
             full = self._with_full(full, self._wide(healthy, stages), stages)
             full = self._contested(full, stages)
         if _is_ahead(full[0], healthy):
-            contesting = _best_of(
-                full, EFFORT.contesting, lambda fit: -fit.evidence, EFFORT.contest
-            )
+            contesting = _best_of(full, EFFORT.contesting, _behind, EFFORT.contest)
             sizes = [(f, by) for f in contesting if f.cause for by in EFFORT.later_sizes]
             begun = spread_out(self._at_size, sizes, self.workers, stages.until(92.0))
             full += self._completed(begun, stages.until(95.0), full)
-        leading = _best_of(full, EFFORT.leading, lambda fit: -fit.evidence, np.inf)
+        leading = _best_of(full, EFFORT.leading, _behind, np.inf)
         return fits + full + spread_out(self._without, leading, self.workers, stages.until(98.0))
 
     def _with_full(self, full: list[Fit], best: Sequence[Fit], stages: Stages) -> list[Fit]:
         """Return full fits, the best first, with those of coarse ones."""
         jobs = [(fit, 5) for fit in _unlike(best)]
         more = self._in_full(jobs, stages.until(75.0), full)
-        return sorted(full + more, key=lambda fit: -fit.evidence)
+        return sorted(full + more, key=_behind)
 
     def _contested(self, full: list[Fit], stages: Stages) -> list[Fit]:
         """Return full fits, the best first, with those that contest the leading one, again if it lost."""
         for _ in range(EFFORT.contests):
             leader = full[0].id
             full = full + self._in_full(self._challengers(full), stages.until(85.0), full)
-            full.sort(key=lambda fit: -fit.evidence)
+            full.sort(key=_behind)
             if full[0].id == leader or full[0].cause is None:
                 break
         return full
@@ -199,11 +199,11 @@ class Search:
         """Return fits of a healthy truck from several supplies and mountings, the best first."""
         starts = [(True, supply) for supply in self._supplies()] + [(False, 0.0)]
         fits = spread_out(self._healthy, starts, self.workers, stages.until(15.0))
-        fits.sort(key=lambda fit: -fit.evidence)
+        fits.sort(key=_behind)
         if not self.is_explained(fits[0]):
             again = [(fits[0], seed) for seed in EFFORT.seeds]
             fits += spread_out(self._full, again, self.workers, stages.until(20.0))
-            fits.sort(key=lambda fit: -fit.evidence)
+            fits.sort(key=_behind)
         return self._with_reference(fits)
 
     def _with_reference(self, fits: list[Fit]) -> list[Fit]:
@@ -213,7 +213,7 @@ class Search:
                 fitter.likeliest = min(like, key=lambda fit: fit.cost)
                 fitter.reference = fitter.slopes(fitter.likeliest)
         fits = [self.fitters[fit.mounted].with_evidence(fit) for fit in fits]
-        return sorted(fits, key=lambda fit: -fit.evidence)
+        return sorted(fits, key=_behind)
 
     def on_all(
         self,
@@ -226,7 +226,7 @@ class Search:
         """Return the leading hypotheses of these fits, fitted to more shifts of the same truck."""
         whole = Search.of(shifts, parameters, noise_m, self.causes, self.workers)
         best: dict[str, Fit] = {}
-        for fit in sorted(fits, key=lambda fit: -fit.evidence):
+        for fit in sorted(fits, key=_behind):
             best.setdefault(fit.id, fit)
         kept = list(best.values())[: EFFORT.leading]
         if all(fit.cause is not None for fit in kept):
@@ -411,8 +411,11 @@ class Search:
         fits = spread_out(self._ended, kept, self.workers)
         leading = self._catching_up(fits, EFFORT.far_behind, full)
         rest = [fit for fit in fits if fit not in leading]
-        fits = rest + spread_out(self._slid, leading, self.workers, show)
-        return sorted(fits, key=lambda fit: -fit.evidence)
+        best = _best_of([*full, *leading], len(full) + len(leading), _behind, EFFORT.behind)
+        least = {fit.id: fit.evidence - EFFORT.sliding for fit in best}
+        jobs = [(fit, fit.evidence > least.get(fit.id, np.inf)) for fit in leading]
+        fits = rest + spread_out(self._ended_again, jobs, self.workers, show)
+        return sorted(fits, key=_behind)
 
     def _catching_up(
         self, fits: Sequence[Fit], behind: float, full: Sequence[Fit] = ()
@@ -447,10 +450,15 @@ class Search:
     def _ended(self, fit: Fit) -> Fit:
         return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9), times=2)
 
-    def _slid(self, fit: Fit) -> Fit:
+    def _ended_again(self, job: tuple[Fit, bool]) -> Fit:
+        """Fit a hypothesis to the end again, and slide it if its supply is not known."""
+        fit, slides = job
+        fit = self._ended(fit)
+        return self._slid(fit) if slides and self._supplies() == EFFORT.supplies else fit
+
+    def _slid(self, best: Fit) -> Fit:
         """Return a fit, or a better one at another supply with forces and masses in proportion: they are one long ridge."""
-        best = self._ended(fit)
-        for factor in EFFORT.slides if self._supplies() == EFFORT.supplies else ():
+        for factor in EFFORT.slides:
             further = best
             for _ in range(EFFORT.most_slides):
                 there = self._in_proportion(further, factor)
@@ -479,18 +487,17 @@ class Search:
 
         No cause; in its truck the next ones and the likest; other variants of the leading causes; the other mounting.
         """
-        leading = list(dict.fromkeys(fit.id for fit in full))[: EFFORT.leading]
-        first = {name: next(fit for fit in full if fit.id == name) for name in leading}
-        jobs = [(replace(first[name], cause=None, size=0.0), 9) for name in leading[:2]]
-        best = full[0]
-        following = _best_of(full, EFFORT.crossed, lambda fit: -fit.evidence, np.inf)[1:]
+        best, leading = full[0], _best_of(full, 2, _behind, np.inf)
+        jobs = [(replace(fit, cause=None, size=0.0), 9) for fit in leading]
+        following = _best_of(full, EFFORT.crossed, _behind, np.inf)[1:]
         crossed = [(fit.cause, fit.size) for fit in following if fit.cause]
         crossed += self._like(best, {fit.id for fit in full})[: EFFORT.crossed - len(crossed)]
         jobs += [(replace(best, cause=cause, size=size), 8) for cause, size in crossed]
         tried = {fit.cause for fit in full}
+        near = {fit.id: fit for fit in _best_of(full, EFFORT.leading, _behind, EFFORT.contest)}
         for cause in self.causes:
-            if cause.id in leading and cause not in tried:
-                like = first[cause.id]
+            if cause.id in near and cause not in tried:
+                like = near[cause.id]
                 jobs.append((replace(like, cause=cause, size=cause.clipped(like.size)), 8))
         other = self.fitters[not best.mounted]
         jobs.append((replace(best, mounted=not best.mounted, each=best.each * other.mask), 8))
@@ -553,6 +560,11 @@ def _unlike(fits: Sequence[Fit]) -> list[Fit]:
 def _is_ahead(fit: Fit, healthy: Fit) -> bool:
     """Return whether a cause explains more than a healthy truck."""
     return fit.cause is not None and fit.evidence > healthy.evidence + 3.0
+
+
+def _behind(fit: Fit) -> float:
+    """Return by what a full fit is behind others."""
+    return -fit.evidence
 
 
 def _capped(fit: Fit) -> float:

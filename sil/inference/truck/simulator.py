@@ -29,12 +29,14 @@ from plant.parameters import ParameterSet
 from sil.inference.problem import Floats
 from sil.inference.truck.causes import Cause
 from sil.inference.truck.quantities import Layout, quantities
-from sil.log_replay.recorded_shifts import RecordedShift
+from sil.log_replay.recorded_shifts import LEAD_S, RecordedShift
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 PASSING_N_S = 0.3
 """Impulse of a cone up to which the stay passes without a stop, or nearly so: at equal speeds."""
+SCALING = ("friction", "flow_in", "flow_out", "volume_a", "volume_b", "supply")
+"""Quantities by whose exponentials parameters are multiplied."""
 EQUAL_RAD_S = 0.5
 """Speed difference at the command that an engine which synchronizes has taken away when the stay is there."""
 
@@ -106,8 +108,10 @@ class ShiftModel:
         )
         self._healthy = Setup.of(parameters, conditions)
         apply_effects(self._healthy, parameters)
+        scaled = [(c, self.layout.at[name]) for name in SCALING for c in FACTORS[name]]
+        self._scaled, self._scaling = np.array(scaled).T
         self._actuators: dict[tuple[str, float, float], Actuator] = {}
-        self._moves: dict[int, Floats] = {}
+        self._moves: dict[tuple[int, int, int], Floats] = {}
 
     def __len__(self) -> int:
         return len(self.shifts)
@@ -153,8 +157,15 @@ class ShiftModel:
         amounts = np.where(acts, amounts, 0.0)
         is_by_supply = cause is not None and cause.is_by_supply
         supplies = self._supply[which] if is_by_supply else np.ones(len(which))
-        pairs, of_pair = np.unique(sizes + 1j * supplies, return_inverse=True)
-        actuators = [self.actuator(cause, pair.real, pair.imag) for pair in pairs.tolist()]
+        pairs = dict[tuple[float, float], int]()
+        sized = np.broadcast_to(sizes, len(which)).tolist()
+        of_pair = np.array(
+            [
+                pairs.setdefault(pair, len(pairs))
+                for pair in zip(sized, supplies.tolist(), strict=True)
+            ]
+        )
+        actuators = [self.actuator(cause, *pair) for pair in pairs]
         setups = [item.setup for item in actuators]
         packed = self._packed(which, amounts, np.array([s.p.array for s in setups])[of_pair])
         initial = np.empty((len(which), LengthState.size))
@@ -165,15 +176,16 @@ class ShiftModel:
                 LENGTH, Parameters(packed[rows]), position=gear, charged=()
             )
         delays_ns = self._delays_ns(amounts, setups, of_pair)
-        since_s = np.maximum(-self._off_s[which] - delays_ns[:, 1:] / NS_PER_S, 0.0)
-        for number, setup in enumerate(setups):
-            rows = of_pair == number
-            initial[rows] = vented(since_s[rows], packed[rows], setup.c, initial[rows])
-        latency_s = np.array([s.chain.latency_s for s in setups]) - self.latency_s
-        late_s = amounts[:, at["latency"]] + latency_s[of_pair]
-        instants = np.maximum(self.time_s[which] - late_s[:, None], 0.0)
+        since_s = np.maximum(LEAD_S - self._off_s[which] - delays_ns[:, 1:] / NS_PER_S, 0.0)
         # one for all: rests of a single flow map have a closed form
         flow, modes = shared([s.c for s in setups]), shared([item.modes for item in actuators])
+        for number, c in enumerate(flow):
+            rows = of_pair == number if len(flow) > 1 else slice(None)
+            initial[rows] = vented(since_s[rows], packed[rows], c, initial[rows])
+        latency_s = np.array([s.chain.latency_s for s in setups]) - self.latency_s
+        late_s = amounts[:, at["latency"]] + latency_s[of_pair]
+        # nothing moves before the first command: a stroke begins there
+        instants = np.maximum(self.time_s[which] - late_s[:, None] - LEAD_S, 0.0)
         strokes = Strokes(
             system=LENGTH,
             packed=packed,
@@ -189,8 +201,10 @@ class ShiftModel:
         )
         x = result.samples[:, :, 0]
         reported = np.empty_like(x)
-        for number, setup in enumerate(setups):
-            rows, chain = of_pair == number, setup.chain
+        reports = [(id(s.chain), s.internal_gain, id(s.internal_error_m)) for s in setups]
+        for report, setup in dict(zip(reports, setups, strict=True)).items():
+            rows = np.array([own == report for own in reports])[of_pair]
+            chain = setup.chain
             pulses = chain.sensor.duration_s(x[rows], chain.coil_temperature_k)
             seen = chain.calibration.position_m(pulses, chain.measured_temperature_k)
             reported[rows] = setup.reported_m(seen)
@@ -200,9 +214,7 @@ class ShiftModel:
     def _packed(self, which: Ints, amounts: Floats, packed: Floats) -> Floats:
         """Return packed parameters [n, parameters] of strokes, from those of their actuators."""
         at = self.layout.at
-        for name in ("friction", "flow_in", "flow_out", "volume_a", "volume_b", "supply"):
-            for column in FACTORS[name]:
-                packed[:, column] *= np.exp(amounts[:, at[name]])
+        packed[:, self._scaled] *= np.exp(amounts[:, self._scaling])
         p = Parameters(packed)
         of_trip = amounts[:, self.layout.of_trips].sum(axis=1)
         p.p_supply = p.p_supply * self._supply[which] * np.exp(of_trip)
@@ -228,19 +240,12 @@ class ShiftModel:
         # delays within 0.5 ms have the same moves of the valves, in another place
         steps = delays // 500_000
         later_s = (delays - 500_000 * steps - 250_000) / NS_PER_S
-        places = which << 40 | steps[:, 0] << 20 | steps[:, 1]
-        keys, first, of_key = np.unique(places, return_index=True, return_inverse=True)
+        keys = dict[tuple[int, int, int], int]()
+        rows = zip(which.tolist(), *steps.T.tolist(), strict=True)
+        of_key = np.array([keys.setdefault(key, len(keys)) for key in rows])
         if len(self._moves) > 4000:
             self._moves.clear()
-        own: list[Floats] = []
-        for key, row in zip(keys.tolist(), first, strict=True):
-            if key not in self._moves:
-                rise_ns, fall_ns = (500_000 * steps[row] + 250_000).tolist()
-                near = replace(like.timing, rise_ns=rise_ns, fall_ns=fall_ns)
-                rows = switch_schedule(self.shifts[which[row]].commands, near, 3)
-                timed = [(at / NS_PER_S, chamber, u, 0.0) for at, chamber, u in rows]
-                self._moves[key] = np.array(timed).reshape(-1, 4)
-            own.append(self._moves[key])
+        own = [self._moves_of(*key, like) for key in keys]
         table = np.zeros((len(own), max(map(len, own)), 4))
         table[:, :, 0] = np.inf
         for place, moves in zip(table, own, strict=True):
@@ -248,7 +253,18 @@ class ShiftModel:
         switches = table[of_key]
         switches[:, :, 0] += np.where(switches[:, :, 2] > 0.5, later_s[:, :1], later_s[:, 1:])
         order = np.argsort(switches[:, :, 0], axis=1, kind="stable")
-        return np.take_along_axis(switches, order[:, :, None], axis=1)
+        return np.asarray(switches[np.arange(len(order))[:, None], order])
+
+    def _moves_of(self, shift: int, rise: int, fall: int, like: Setup) -> Floats:
+        """Return the moves [k, 4] of a shift's valves at delays in the middle of steps of 0.5 ms."""
+        key = shift, rise, fall
+        if key not in self._moves:
+            rise_ns, fall_ns = (500_000 * step + 250_000 for step in (rise, fall))
+            near = replace(like.timing, rise_ns=rise_ns, fall_ns=fall_ns)
+            rows = switch_schedule(self.shifts[shift].commands, near, 3)
+            timed = [(at / NS_PER_S - LEAD_S, chamber, u, 0.0) for at, chamber, u in rows]
+            self._moves[key] = np.array(timed).reshape(-1, 4)
+        return self._moves[key]
 
 
 def trips_of(shifts: Sequence[RecordedShift]) -> list[str]:

@@ -38,15 +38,16 @@ def drawn_system(rng: np.random.Generator) -> tuple[System, np.ndarray, np.ndarr
     return blocks, whole, gradient
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.5])
-def test_a_step_is_that_of_the_whole_matrix(damping: float) -> None:
+def test_steps_are_those_of_the_whole_matrix() -> None:
     system, whole, gradient = drawn_system(np.random.default_rng(4))
-    step = np.linalg.solve(whole + damping * np.diag(np.diag(whole)), gradient)
-    shared, own = system.step(damping)
-    assert np.concatenate([shared, own.ravel()]) == pytest.approx(step)
-    alone = whole[3:, 3:] + damping * np.diag(np.diag(whole[3:, 3:]))
-    expected = np.linalg.solve(alone, system.own_gradient.ravel())
-    assert system.own_step(damping).ravel() == pytest.approx(expected)
+    dampings = (0.0, 0.5)
+    rows = zip(dampings, *system.steps(dampings), system.own_steps(dampings), strict=True)
+    for damping, shared, own, own_alone in rows:
+        step = np.linalg.solve(whole + damping * np.diag(np.diag(whole)), gradient)
+        assert np.concatenate([shared, own.ravel()]) == pytest.approx(step)
+        alone = whole[3:, 3:] + damping * np.diag(np.diag(whole[3:, 3:]))
+        expected = np.linalg.solve(alone, system.own_gradient.ravel())
+        assert own_alone.ravel() == pytest.approx(expected)
 
 
 def test_the_marginal_information_is_that_of_the_whole_matrix() -> None:
@@ -185,10 +186,12 @@ def test_a_trial_may_keep_the_loads_of_gears(fitter: Fitter, usual: Fit) -> None
     acting = fitter.model.acts
     assert np.abs(moved[:, loads][acting[:, loads]]).max() < 1e-9
     assert np.abs(moved[:, fitter.layout.at["friction"]]).min() > 0.0
-    both = [fitter._tried(usual, [t], fitter.variance(COARSE_M))[0] for t in (trial, kept)]
-    joined = fitter._joined(*both)
-    assert joined.cost <= min(fit.cost for fit in both)
-    assert joined.cost == pytest.approx(fitter.evaluated(joined, COARSE_M).cost)
+    variance, size = fitter.variance(COARSE_M), np.array([usual.size])
+    both = [fitter._tried(usual, t.unit[None], t.each[None], size, variance) for t in (trial, kept)]
+    joined = fitter._joined(usual, *both)
+    assert joined.cost[0] <= min(trials.cost[0] for trials in both)
+    again = fitter.evaluated(joined.of(0, usual), COARSE_M)
+    assert joined.cost[0] == pytest.approx(again.cost)
 
 
 def test_a_cone_has_its_slope_where_it_stops_the_stay(fitter: Fitter, usual: Fit) -> None:

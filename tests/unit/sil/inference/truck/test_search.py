@@ -200,7 +200,7 @@ def test_a_fit_slides_to_the_supply_that_explains_more(search: Search) -> None:
     far = fitter.improved(fitter.rescanned(far, MIDDLE_M, np.random.default_rng(1)), MIDDLE_M, 10)
     stuck = search._ended(far)
     assert stuck.evidence < fit.evidence - 3.0
-    slid = search._slid(far)
+    slid = search._ended_again((far, True))
     assert slid.evidence > stuck.evidence + 2.0
     supply = fitter.layout.at["supply"]
     assert slid.unit[supply] > stuck.unit[supply] + 0.5
