@@ -165,26 +165,44 @@ class System(NamedTuple):
 
 
 class Trials(NamedTuple):
-    """Fits to choose from, as arrays: size [trials], the others as of `Fit` with the trials in front."""
+    """Fits to choose from, as arrays: fields as of `Fit` with the trials in front; whole [trials, shifts]: `per_shift` with its prior."""
 
     unit: Floats
     each: Floats
     size: Floats
     position_m: Floats
     per_shift: Floats
-    cost: Floats
+    whole: Floats
 
-    def of(self, number: int, fit: Fit) -> Fit:
-        """Return one of them, else as a fit."""
-        unit, each, size, position_m, per_shift, cost = (array[number] for array in self)
+    @property
+    def cost(self) -> Floats:
+        """Negative log posterior [trials]."""
+        unit = _tail_cost(self.unit).sum(axis=1) + _size_cost(self.size)
+        return np.asarray(self.whole.sum(axis=1) + unit)
+
+    def joined(self, other: Trials) -> Trials:
+        """Return trials with each shift as in the better one of two: cones and teeth stop it, or not."""
+        better = self.whole > other.whole
+        wide = better[..., None]
+        return self._replace(
+            each=np.where(wide, other.each, self.each),
+            position_m=np.where(wide, other.position_m, self.position_m),
+            per_shift=np.where(better, other.per_shift, self.per_shift),
+            whole=np.where(better, other.whole, self.whole),
+        )
+
+    def best(self, fit: Fit) -> Fit:
+        """Return the best of them, else as a fit."""
+        costs = self.cost
+        k = int(np.argmin(costs))
         return replace(
             fit,
-            unit=unit,
-            each=each,
-            size=float(size),
-            position_m=position_m,
-            per_shift=per_shift,
-            cost=float(cost),
+            unit=self.unit[k],
+            each=self.each[k],
+            size=float(self.size[k]),
+            position_m=self.position_m[k],
+            per_shift=self.per_shift[k],
+            cost=float(costs[k]),
         )
 
 
@@ -425,11 +443,11 @@ class Fitter:
             system.shared[columns, columns], system.shared_gradient[columns] = 1e15, 0.0
             unit, each, size = self._moved(fit, *system.steps(STEPS.dampings))
             tried = self._tried(fit, unit, each, size, variance)
+            best = tried.best(fit)
             # slopes that only followed are taken anew before a fit counts as stuck
-            if tried.cost.min() >= fit.cost - least and not age:
-                other = self._tried(fit, unit, self._loads_of(fit, unit, each), size, variance)
-                tried = self._joined(fit, tried, other)
-            best = tried.of(int(np.argmin(tried.cost)), fit)
+            if best.cost >= fit.cost - least and not age:
+                each = self._loads_of(fit, unit, each)
+                best = tried.joined(self._tried(fit, unit, each, size, variance)).best(fit)
             if best.cost < fit.cost - least:
                 before, fit, stuck = fit, self.centred(best, kept), False
             elif stuck or (not age and not again):
@@ -458,14 +476,8 @@ class Fitter:
         amounts = self.layout.amounts(unit, each).reshape(len(which), -1)
         x, done = self.model.positions(which, amounts, fit.cause, np.repeat(size, shape[1]))
         per_shift = self._misfit(x, done, which, variance).reshape(shape)
-        x = x.reshape(*shape, -1)
-        return self._judged(fit, Trials(unit, each, size, x, per_shift, size))
-
-    def _judged(self, fit: Fit, trials: Trials) -> Trials:
-        """Return trials with their costs, at the spread of a fit."""
-        own = trials.per_shift + _own_cost(trials.each, fit.spread)
-        unit = _tail_cost(trials.unit).sum(axis=1) + _size_cost(trials.size)
-        return trials._replace(cost=own.sum(axis=1) + unit)
+        whole = per_shift + _own_cost(each, fit.spread)
+        return Trials(unit, each, size, x.reshape(*shape, -1), per_shift, whole)
 
     def with_loads_of(self, other: Fit, fit: Fit) -> Fit:
         """Return a fit in which each shift has the loads of its gears as in another one."""
@@ -479,18 +491,6 @@ class Fitter:
         each = each.copy()
         each[..., self.layout.of_gears] = other.each[:, self.layout.of_gears] - moved
         return np.asarray(each * self.mask)
-
-    def _joined(self, fit: Fit, one: Trials, other: Trials) -> Trials:
-        """Return trials with each shift as in the better one of two: cones and teeth stop it, or not."""
-        own, others = (t.per_shift + _own_cost(t.each, fit.spread) for t in (one, other))
-        better = own > others
-        wide = better[..., None]
-        joined = one._replace(
-            each=np.where(wide, other.each, one.each),
-            position_m=np.where(wide, other.position_m, one.position_m),
-            per_shift=np.where(better, other.per_shift, one.per_shift),
-        )
-        return self._judged(fit, joined)
 
     def _moved(self, fit: Fit, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
         """Return quantities and sizes after steps [n, ...] and, besides, a short one of the first, within the limits."""

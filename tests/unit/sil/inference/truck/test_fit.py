@@ -188,10 +188,9 @@ def test_a_trial_may_keep_the_loads_of_gears(fitter: Fitter, usual: Fit) -> None
     assert np.abs(moved[:, fitter.layout.at["friction"]]).min() > 0.0
     variance, size = fitter.variance(COARSE_M), np.array([usual.size])
     both = [fitter._tried(usual, t.unit[None], t.each[None], size, variance) for t in (trial, kept)]
-    joined = fitter._joined(usual, *both)
-    assert joined.cost[0] <= min(trials.cost[0] for trials in both)
-    again = fitter.evaluated(joined.of(0, usual), COARSE_M)
-    assert joined.cost[0] == pytest.approx(again.cost)
+    joined = both[0].joined(both[1]).best(usual)
+    assert joined.cost <= min(trials.cost[0] for trials in both)
+    assert joined.cost == pytest.approx(fitter.evaluated(joined, COARSE_M).cost)
 
 
 def test_a_cone_has_its_slope_where_it_stops_the_stay(fitter: Fitter, usual: Fit) -> None:
