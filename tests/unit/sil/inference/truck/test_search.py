@@ -76,7 +76,6 @@ def test_others_may_gain_what_the_best_leaves() -> None:
 def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.MonkeyPatch) -> None:
     search = Search({True: JUDGE}, {}, [], [])
     monkeypatch.setattr(search, "_ended", lambda fit: fit)
-    monkeypatch.setattr(search, "_slid", lambda fit: fit)
     fits = [coarse("detent", cost) for cost in (5.0, 8.0, 6.0 + EFFORT.behind)]
     fits.append(replace(fits[0], cause=None, cost=90.0))
     assert {fit.cost for fit in search._completed(fits, no_progress)} == {5.0, 8.0, 90.0}
@@ -86,13 +85,31 @@ def test_the_last_stage_is_for_those_that_can_catch_up(monkeypatch: pytest.Monke
     assert len(search._completed(many, no_progress)) == most
 
 
-def test_the_very_last_stage_is_for_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_very_last_stage_is_for_the_nearest_and_the_best_of_a_cause_slide(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     search = Search({True: JUDGE}, {}, [], [])
+    slid: list[float] = []
+
+    def again(job: tuple[Fit, bool]) -> Fit:
+        fit, slides = job
+        slid.extend([fit.cost] * slides)
+        return replace(fit, cost=fit.cost - 0.5)
+
     monkeypatch.setattr(search, "_ended", lambda fit: replace(fit, cost=fit.cost - 0.5))
-    monkeypatch.setattr(search, "_slid", lambda fit: replace(fit, cost=fit.cost - 0.5))
-    fits = [coarse("detent", cost) for cost in (5.0, 6.0 + EFFORT.far_behind)]
+    monkeypatch.setattr(search, "_ended_again", again)
+    costs = (5.0, 4.0 + EFFORT.sliding, 6.0 + EFFORT.sliding, 6.0 + EFFORT.far_behind)
+    fits = [coarse("detent", cost) for cost in costs] + [coarse("supply_low", costs[2])]
+    fits = [replace(fit, evidence=-fit.cost) for fit in fits]
     ended = search._completed(fits, no_progress)
-    assert {fit.cost for fit in ended} == {4.0, 5.5 + EFFORT.far_behind}
+    assert [fit.cost for fit in ended] == [
+        4.0,
+        *(c - 1.0 for c in costs[1:3]),
+        costs[2] - 1.0,
+        costs[3] - 0.5,
+    ]
+    assert sorted(slid) == [cost - 0.5 for cost in costs[:3]]
+    assert sorted(fit.id for fit in ended if fit.cost == costs[2] - 1.0) == ["detent", "supply_low"]
 
 
 def searched(
