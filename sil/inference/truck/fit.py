@@ -492,12 +492,12 @@ class Fitter:
         each[..., self.layout.of_gears] = other.each[:, self.layout.of_gears] - moved
         return np.asarray(each * self.mask)
 
-    def _moved(self, fit: Fit, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return quantities and sizes after steps [n, ...] and, besides, a short one of the first, within the limits."""
-        shared, own = (np.concatenate([STEPS.short * step[:1], step]) for step in (shared, own))
+    def _moved(self, fit: Fit, *steps: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return quantities and sizes after `System.steps` and, besides, a short one of the first, within the limits."""
+        shared, differing = (np.concatenate([STEPS.short * by[:1], by]) for by in steps)
         units, most = len(self.layout), STEPS.farthest_sd
         unit = np.clip(fit.unit + shared[:, :units], -most, most)
-        each = np.clip(fit.each + own, -most, most) * self.mask
+        each = np.clip(fit.each + differing, -most, most) * self.mask
         size = np.full(len(shared), fit.size)
         if fit.cause is not None:
             size = np.clip(fit.size + shared[:, units], *fit.cause.bounds)

@@ -35,8 +35,6 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 PASSING_N_S = 0.3
 """Impulse of a cone up to which the stay passes without a stop, or nearly so: at equal speeds."""
-SCALING = ("friction", "flow_in", "flow_out", "volume_a", "volume_b", "supply")
-"""Quantities by whose exponentials parameters are multiplied."""
 EQUAL_RAD_S = 0.5
 """Speed difference at the command that an engine which synchronizes has taken away when the stay is there."""
 
@@ -108,7 +106,8 @@ class ShiftModel:
         )
         self._healthy = Setup.of(parameters, conditions)
         apply_effects(self._healthy, parameters)
-        scaled = [(c, self.layout.at[name]) for name in SCALING for c in FACTORS[name]]
+        names = ("friction", "flow_in", "flow_out", "volume_a", "volume_b", "supply")
+        scaled = [(column, self.layout.at[name]) for name in names for column in FACTORS[name]]
         self._scaled, self._scaling = np.array(scaled).T
         self._actuators: dict[tuple[str, float, float], Actuator] = {}
         self._moves: dict[tuple[int, int, int], Floats] = {}
@@ -158,13 +157,8 @@ class ShiftModel:
         is_by_supply = cause is not None and cause.is_by_supply
         supplies = self._supply[which] if is_by_supply else np.ones(len(which))
         pairs = dict[tuple[float, float], int]()
-        sized = np.broadcast_to(sizes, len(which)).tolist()
-        of_pair = np.array(
-            [
-                pairs.setdefault(pair, len(pairs))
-                for pair in zip(sized, supplies.tolist(), strict=True)
-            ]
-        )
+        of_strokes = np.transpose([np.broadcast_to(sizes, len(which)), supplies]).tolist()
+        of_pair = np.array([pairs.setdefault(tuple(pair), len(pairs)) for pair in of_strokes])
         actuators = [self.actuator(cause, *pair) for pair in pairs]
         setups = [item.setup for item in actuators]
         packed = self._packed(which, amounts, np.array([s.p.array for s in setups])[of_pair])
@@ -203,8 +197,7 @@ class ShiftModel:
         reported = np.empty_like(x)
         reports = [(id(s.chain), s.internal_gain, id(s.internal_error_m)) for s in setups]
         for report, setup in dict(zip(reports, setups, strict=True)).items():
-            rows = np.array([own == report for own in reports])[of_pair]
-            chain = setup.chain
+            rows, chain = np.array([one == report for one in reports])[of_pair], setup.chain
             pulses = chain.sensor.duration_s(x[rows], chain.coil_temperature_k)
             seen = chain.calibration.position_m(pulses, chain.measured_temperature_k)
             reported[rows] = setup.reported_m(seen)
@@ -245,11 +238,11 @@ class ShiftModel:
         of_key = np.array([keys.setdefault(key, len(keys)) for key in rows])
         if len(self._moves) > 4000:
             self._moves.clear()
-        own = [self._moves_of(*key, like) for key in keys]
-        table = np.zeros((len(own), max(map(len, own)), 4))
+        moves = [self._moves_of(*key, like) for key in keys]
+        table = np.zeros((len(moves), max(map(len, moves)), 4))
         table[:, :, 0] = np.inf
-        for place, moves in zip(table, own, strict=True):
-            place[: len(moves)] = moves
+        for place, rows_of_key in zip(table, moves, strict=True):
+            place[: len(rows_of_key)] = rows_of_key
         switches = table[of_key]
         switches[:, :, 0] += np.where(switches[:, :, 2] > 0.5, later_s[:, :1], later_s[:, 1:])
         order = np.argsort(switches[:, :, 0], axis=1, kind="stable")
