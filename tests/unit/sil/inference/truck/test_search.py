@@ -208,6 +208,9 @@ def test_a_healthy_truck_is_explained(search: Search) -> None:
     far[0, 5] += 1e-3
     assert not search.is_explained(replace(fit, position_m=far))
     assert not search.is_explained(replace(fit, unit=fit.unit + 5.0))
+    # what no position by itself shows, all of them do
+    off = replace(fit, position_m=fit.position_m + 2e-5)
+    assert not search.fitters[True].deviating(off) and not search.is_explained(off)
 
 
 def test_a_fit_slides_to_the_supply_that_explains_more(search: Search) -> None:
