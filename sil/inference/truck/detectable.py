@@ -1,7 +1,7 @@
 """What the shifts of a truck would show: the least size of each cause, and what looks the same.
 
 Shifts of such a truck with the cause are simulated, and a healthy truck is fitted to them: from where it was,
-and while the cause grows. A cause is noticed if its evidence against that one is enough for an alarm in nine
+while the cause grows, and anew at several supplies. A cause is noticed if its evidence against that one is enough for an alarm in nine
 of ten trucks.
 Checked by: tests/unit/sil/inference/truck/test_detectable.py
 """
@@ -9,8 +9,9 @@ Checked by: tests/unit/sil/inference/truck/test_detectable.py
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import log, sqrt
 from typing import Final
 
@@ -19,7 +20,7 @@ import numpy as np
 from sil.inference.problem import Floats
 from sil.inference.thresholds import LIMITS
 from sil.inference.truck.causes import Cause
-from sil.inference.truck.fit import FINE_M, MIDDLE_M, Fit, Fitter
+from sil.inference.truck.fit import COARSE_M, FINE_M, MIDDLE_M, Fit, Fitter
 from sil.inference.truck.gains import Beside, secants
 from sil.inference.workers import spread_out
 
@@ -49,6 +50,10 @@ class Tested:
     """... which also follows the cause through these shares of its size, ..."""
     rounds_each: int = 4
     """... with so many rounds at each."""
+    supplies: tuple[float, ...] = (0.0, -2.0)
+    """Supplies at which it begins anew, in standard deviations, ..."""
+    stages: tuple[tuple[float, int], ...] = ((COARSE_M, 6), (MIDDLE_M, 10), (FINE_M, 8))
+    """... with these errors of the model and rounds."""
     shifts: int = 6
     """Shifts that are tested; of more, each stands for its share."""
     tiny: float = 1e-6
@@ -136,13 +141,17 @@ def gain_of(
     if seen is None:
         return float("inf")
     with_cause = seen.evaluated(with_cause, FINE_M)
-    best = seen.improved(truck, FINE_M, TESTED.rounds)
-    if best.cost - with_cause.cost > enough:
-        other = seen.improved(_followed(fitter, with_cause), FINE_M, TESTED.rounds)
-        best = min(best, other, key=lambda fit: fit.cost)
-    # evidence gains less than the cost falls: a cause pays for its size
-    if best.cost - with_cause.cost <= enough:
-        return best.cost - with_cause.cost
+    starts: list[Callable[[], Fit]] = [
+        lambda: seen.improved(truck, FINE_M, TESTED.rounds),
+        lambda: seen.improved(_followed(fitter, with_cause), FINE_M, TESTED.rounds),
+        *(partial(_begun_anew, seen, truck, supply) for supply in TESTED.supplies),
+    ]
+    best = replace(truck, cost=np.inf)
+    for begun in starts:
+        best = min(best, begun(), key=seen.whole_cost)
+        # evidence gains less than the cost falls: a cause pays for its size
+        if best.cost - with_cause.cost <= enough:
+            return best.cost - with_cause.cost
     rng = np.random.default_rng(1)
     healthy, faulty = (seen.finished(fit, rng, times=1) for fit in (best, with_cause))
     return faulty.evidence - healthy.evidence
@@ -158,6 +167,17 @@ def _followed(fitter: Fitter, with_cause: Fit) -> Fit:
             fit = seen.improved(fit, FINE_M, TESTED.rounds_each)
     assert seen is not None
     return seen.improved(seen.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, TESTED.rounds)
+
+
+def _begun_anew(seen: Fitter, truck: Fit, supply: float) -> Fit:
+    """Return a healthy truck fitted from a usual one at a supply in standard deviations, with the spread of `truck`."""
+    rng, fit = np.random.default_rng(1), replace(seen.start(), spread=truck.spread)
+    fit.unit[seen.layout.at["supply"]] = supply
+    for error_m, rounds in TESTED.stages:
+        if error_m != FINE_M:
+            fit = seen.rescanned(fit, error_m, rng)
+        fit = seen.improved(fit, error_m, rounds)
+    return fit
 
 
 def _with_positions(fitter: Fitter, fit: Fit) -> Fitter | None:

@@ -58,6 +58,16 @@ def test_a_supply_that_no_log_states_may_be_low_in_a_healthy_truck(
     assert gain_of(fitter, truck, only("supply_low"), 4.0) < 5.0
 
 
+def test_a_clogged_inlet_may_be_a_healthy_truck_begun_anew(
+    monkeypatch: pytest.MonkeyPatch, fitter: Fitter, truck: Fit
+) -> None:
+    fitter = copy(fitter)
+    fitter.reference = fitter.slopes(truck)
+    anew = gain_of(fitter, truck, only("inlet_clog"), -4.0)
+    monkeypatch.setattr(detectable, "TESTED", replace(detectable.TESTED, supplies=()))
+    assert anew < gain_of(fitter, truck, only("inlet_clog"), -4.0) - 3.0
+
+
 def test_of_many_shifts_some_are_tested_for_their_share(
     monkeypatch: pytest.MonkeyPatch, fitter: Fitter, truck: Fit
 ) -> None:
