@@ -80,8 +80,6 @@ class Thresholds:
     """Prior odds of two causes at once against one."""
     min_noticeable_share: float = 0.5
     """Share of the catalogue that would be noticed at its typical size, for data that can tell."""
-    max_truck_noise: float = 1.1
-    """Factor on the noise of a truck's pulses up to which it explains what is left."""
     max_truck_strain: float = 5.0
     """Cost of a truck's own quantities up to which they are ordinary."""
     min_healthy_probability: float = 0.5

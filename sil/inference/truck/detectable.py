@@ -1,8 +1,8 @@
 """What the shifts of a truck would show: the least size of each cause, and what looks the same.
 
 Shifts of such a truck with the cause are simulated, and a healthy truck is fitted to them: from where it was,
-while the cause grows, and anew at several supplies. A cause is noticed if its evidence against that one is enough for an alarm in nine
-of ten trucks.
+while the cause grows, and anew at several supplies. A cause is noticed if its evidence against that one is
+enough for an alarm in nine of ten trucks.
 Checked by: tests/unit/sil/inference/truck/test_detectable.py
 """
 

@@ -238,9 +238,8 @@ class Search:
     def is_explained(self, fit: Fit) -> bool:
         """Return whether noise explains what a healthy truck leaves, with ordinary quantities."""
         fitter = self.fitters[fit.mounted]
-        is_noise = fit.noise_factor <= LIMITS.max_truck_noise and self.is_noise(fit)
         is_ordinary = fitter.unit_cost(fit.unit) <= LIMITS.max_truck_strain
-        return is_noise and is_ordinary and not fitter.deviating(fit)
+        return self.is_noise(fit) and is_ordinary and not fitter.deviating(fit)
 
     def is_noise(self, fit: Fit) -> bool:
         """Return whether a fit leaves nothing but noise, so that no other could leave much less."""
