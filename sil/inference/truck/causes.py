@@ -88,8 +88,12 @@ class Cause:
     def value(self, size: float) -> float:
         """Return the parameter's value [its unit] at a size in typical ones."""
         if self.is_narrowing:
+            if (
+                size < 0.3
+            ):  # too wide to move a position beyond noise, and stiff: simulated as no line
+                return self.parameter.neutral
             # of size one: four typical values
-            return min(self.parameter.high, self.parameter.typical * 4.0 / max(size, 1e-3))
+            return self.parameter.typical * 4.0 / size
         return value_of(self.parameter, size)
 
     def values(self, size: float) -> dict[str, float]:

@@ -60,6 +60,8 @@ class Steps:
     """Share of an undamped step that is tried besides."""
     trip_draws: int = 4
     """Supplies of a trip that are drawn, with the present one."""
+    of_others: float = 0.25
+    """Share of draws that are another shift's quantities."""
     passing: float = 0.2
     """Share of draws in which a cone stops nothing."""
     centrings: int = 3
@@ -544,6 +546,10 @@ class Fitter:
         centre = np.where(anywhere, 0.0, fit.each[:, None, :])
         there = centre + width * rng.normal(size=(n, number, own)) * self.mask[:, None, :]
         there = np.where(rng.random((n, number, own)) < 0.5, fit.each[:, None, :], there)
+        # what another shift has, where the loads are much the same
+        others = rng.integers(n, size=(n, number))
+        swaps = rng.random((n, number, 1)) < STEPS.of_others
+        there = np.where(swaps, fit.each[others] * self.mask[:, None, :], there)
         cone, passing = self._passing(fit)
         reached = self.mask[:, cone] & (passing > -STEPS.farthest_sd)
         passes = (rng.random((n, number)) < STEPS.passing) & reached[:, None]

@@ -60,7 +60,7 @@ class Effort:
     """Of the integrator in a first look."""
     variants: int = 3
     """Variants of an effect that get one."""
-    going_on: int = 3
+    going_on: int = 2
     """First looks at an effect, the best after some rounds, that go on."""
     wide_varied: int = 12
     """Causes of which sizes around the best first look are tried."""
@@ -70,7 +70,7 @@ class Effort:
     """Cost behind the best from which a coarse fit is not continued ..."""
     most_of_shift: float = 20.0
     """... and what a single shift counts in it at most."""
-    behind: float = 25.0
+    behind: float = 18.0
     """Cost behind the best from which a fit is not ended ..."""
     far_behind: float = 12.0
     """... and from which it is not ended a second time."""
@@ -88,7 +88,7 @@ class Effort:
     """... as long as they gain so much, ..."""
     behind_slide: float = 1.0
     """... and are not so far behind in cost when coarse."""
-    completed: int = 10
+    completed: int = 8
     """Causes that are ended at most."""
     contests: int = 2
     """Times that the leading hypothesis is contested, again if it lost."""
@@ -98,9 +98,9 @@ class Effort:
     """Sizes near which a cause that is likest to the leading one is sought."""
     contesting: int = 6
     """Causes that are fitted at later_sizes, at most ..."""
-    contest: float = 20.0
+    contest: float = 10.0
     """... and how far behind the leading one."""
-    later_sizes: tuple[float, ...] = (0.65, 0.8, 1.25, 1.6)
+    later_sizes: tuple[float, ...] = (0.7, 1.4)
     """Of a cause, by its best one."""
     leading: int = 3
     """Causes contested by other variants, and by a healthy truck from where they ended."""
@@ -445,7 +445,8 @@ class Search:
     def _refined(self, fit: Fit, rng: np.random.Generator) -> Fit:
         fitter = self.fitters[fit.mounted]
         fit = replace(fit, noise_factor=FIRST_FACTOR, spread=np.ones_like(fit.spread))
-        return fitter.with_scales(fitter.freed(fitter.improved(fit, FINE_M, 8), rng))
+        fit = fitter.with_scales(fitter.freed(fitter.improved(fit, FINE_M, 8), rng))
+        return fitter.improved(fit, FINE_M, 8)
 
     def _ended(self, fit: Fit) -> Fit:
         return self.fitters[fit.mounted].finished(fit, np.random.default_rng(9), times=2)
