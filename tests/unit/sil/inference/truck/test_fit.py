@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
+from sil.inference.truck import fit as truck_fit
 from sil.inference.truck.diagnosis import rest_noise_m
 from sil.inference.truck.fit import (
     COARSE_M,
@@ -16,6 +17,7 @@ from sil.inference.truck.fit import (
     FIRST_FACTOR,
     MIDDLE_M,
     PRIORS,
+    STEPS,
     Fit,
     Fitter,
     System,
@@ -125,6 +127,18 @@ def test_a_stuck_shift_tries_the_loads_of_the_likeliest_truck(
         assert freed.per_shift is not None
         costs.append(freed.per_shift[into_gear])
     assert costs[0] > 10.0 and costs[1] < 5.0
+
+
+def test_a_stuck_shift_tries_the_quantities_of_others(
+    fitter: Fitter, stuck: tuple[Fit, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, into_gear = stuck
+    monkeypatch.setattr(truck_fit, "STEPS", replace(STEPS, of_others=1.0, passing=0.0))
+    scanned = fitter.rescanned(fit, FINE_M, np.random.default_rng(3))
+    assert fit.per_shift is not None and scanned.per_shift is not None
+    assert scanned.per_shift[into_gear] < 0.5 * fit.per_shift[into_gear]
+    others = np.delete(fit.each, into_gear, axis=0) * fitter.mask[into_gear]
+    assert (scanned.each[into_gear] == others).all(axis=1).any()
 
 
 def test_what_no_shift_is_stuck_in_is_left_as_it_is(fitter: Fitter, usual: Fit) -> None:
