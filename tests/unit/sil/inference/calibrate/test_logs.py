@@ -56,12 +56,11 @@ def mine(calibrated: TruckCalibration, tmp_path_factory: pytest.TempPathFactory)
 def test_the_intervals_hold_the_truth(
     calibrated: TruckCalibration, truck: dict[str, float]
 ) -> None:
-    for path, true in truck.items():
-        if path == "controller.filter":
-            continue
-        item = calibrated.values[path]
-        assert item.low is not None and item.high is not None
-        assert item.low < true < item.high, path
+    true = {path: value for path, value in truck.items() if path != "controller.filter"}
+    items = {path: calibrated.values[path] for path in true}
+    assert all(item.low is not None and item.high is not None for item in items.values())
+    outside = [path for path, item in items.items() if not item.low < true[path] < item.high]
+    assert len(items) > 10 and len(outside) <= 1, outside  # of 95 %
     mass = calibrated.values["truck.m_gearbox"]
     assert mass.value == pytest.approx(truck["truck.m_gearbox"], rel=0.06)
 
