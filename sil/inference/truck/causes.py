@@ -88,9 +88,8 @@ class Cause:
     def value(self, size: float) -> float:
         """Return the parameter's value [its unit] at a size in typical ones."""
         if self.is_narrowing:
-            if (
-                size < 0.3
-            ):  # too wide to move a position beyond noise, and stiff: simulated as no line
+            # wider, it moves no position beyond noise, and is stiff: no line at all
+            if size < 0.3:
                 return self.parameter.neutral
             # of size one: four typical values
             return self.parameter.typical * 4.0 / size
