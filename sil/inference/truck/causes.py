@@ -79,6 +79,10 @@ class Cause:
         low, high = self.bounds
         return min(max(size, low), high)
 
+    def moves(self, size: float) -> bool:
+        """Return whether a size in typical ones is simulated: a supply line too wide to be seen is stiff, and is none."""
+        return not self.is_narrowing or size >= 0.3
+
     def sizes(self, *amounts: float) -> list[float]:
         """Return physical sizes of these amounts, of both signs if both are physical."""
         signs = (float(self.sign),) if self.sign else (1.0, -1.0)
@@ -88,11 +92,8 @@ class Cause:
     def value(self, size: float) -> float:
         """Return the parameter's value [its unit] at a size in typical ones."""
         if self.is_narrowing:
-            # wider, it moves no position beyond noise, and is stiff: no line at all
-            if size < 0.3:
-                return self.parameter.neutral
             # of size one: four typical values
-            return self.parameter.typical * 4.0 / size
+            return min(self.parameter.high, self.parameter.typical * 4.0 / max(size, 1e-3))
         return value_of(self.parameter, size)
 
     def values(self, size: float) -> dict[str, float]:

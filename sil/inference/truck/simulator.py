@@ -134,7 +134,7 @@ class ShiftModel:
             if len(self._actuators) > 4000:
                 self._actuators.clear()
             setup = self._healthy.copy()
-            if cause is not None:
+            if cause is not None and cause.moves(size):
                 setup.p.p_supply *= supply
                 cause.effect.apply(setup, cause.effect.on_run(cause.values(size)))
                 setup.p.p_supply /= supply

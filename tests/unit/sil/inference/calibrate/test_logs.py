@@ -61,6 +61,8 @@ def test_the_intervals_hold_the_truth(
     assert all(item.low is not None and item.high is not None for item in items.values())
     outside = [path for path, item in items.items() if not item.low < true[path] < item.high]
     assert len(items) > 10 and len(outside) <= 1, outside  # of 95 %
+    for path, item in items.items():  # within three standard deviations
+        assert abs(true[path] - item.value) < 0.75 * (item.high - item.low), path
     mass = calibrated.values["truck.m_gearbox"]
     assert mass.value == pytest.approx(truck["truck.m_gearbox"], rel=0.06)
 

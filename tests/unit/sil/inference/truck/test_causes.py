@@ -23,7 +23,6 @@ def test_sizes_are_physical_and_of_both_signs_where_both_are() -> None:
     assert late.value(2.0) == pytest.approx(0.006)
     # a line is the narrower the larger the size
     assert line.value(4.0) < line.value(1.0) <= line.parameter.high
-    assert line.value(0.2) == line.parameter.neutral  # no line at all
 
 
 def test_a_size_that_changes_nothing_is_not_tried() -> None:

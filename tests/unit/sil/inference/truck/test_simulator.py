@@ -129,6 +129,16 @@ def test_a_cause_of_no_size_is_a_healthy_actuator(fitter: Fitter) -> None:
     assert np.max(np.abs(x[0] - healthy[0])) > 1e-4
 
 
+def test_a_line_too_wide_to_be_seen_is_none(fitter: Fitter) -> None:
+    which, line = np.arange(len(fitter.model)), only("hose_droop")
+    usual = fitter.layout.amounts(fitter.start().unit, fitter.start().each)
+    healthy, wide, narrower = (
+        fitter.model.positions(which, usual, line, size)[0] for size in (0.0, 0.29, 0.31)
+    )
+    assert np.array_equal(wide, healthy)
+    assert 0.0 < np.abs(narrower - healthy).max() < 25e-6  # noise of a pulse as it moves: 70 um
+
+
 def test_without_a_gearbox_its_quantities_do_not_act(shifts: list[RecordedShift]) -> None:
     model = ShiftModel(shifts, load("nominal"), mounted=False)
     usual = positions(model)
