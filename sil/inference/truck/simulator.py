@@ -35,16 +35,24 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 PASSING_N_S = 0.3
 """Impulse of a cone up to which the stay passes without a stop, or nearly so: at equal speeds."""
+GEARS = "FNB"
 EQUAL_RAD_S = 0.5
 """Speed difference at the command that an engine which synchronizes has taken away when the stay is there."""
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """The actuator with one cause of one size: its setup, and the modes of its strokes."""
+    """The actuator with one cause of one size.
+
+    modes: of its strokes; rests [3, states]: at rest in `GEARS`; timing: delays of opening and closing in ns, and by how
+    much later pulses come in s; report: what decides how positions are reported.
+    """
 
     setup: Setup
     modes: Ints
+    rests: Floats
+    timing: tuple[float, float, float]
+    report: tuple[object, ...]
 
 
 class ShiftModel:
@@ -89,7 +97,7 @@ class ShiftModel:
         )
         self._impulse: Floats = np.array([_impulse_n_s(s) for s in shifts])
         self.passing: Floats = np.log(PASSING_N_S / self._impulse)
-        self._starts = np.array([s.start for s in shifts])
+        self._starts = np.array([GEARS.index(s.start) for s in shifts])
         self._off_s: Floats = np.array([s.off_s for s in shifts])
         into = [any(c != 1 and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
         kinds = {
@@ -109,8 +117,9 @@ class ShiftModel:
         names = ("friction", "flow_in", "flow_out", "volume_a", "volume_b", "supply")
         scaled = [(column, self.layout.at[name]) for name in names for column in FACTORS[name]]
         self._scaled, self._scaling = np.array(scaled).T
-        self._actuators: dict[tuple[str, float, float], Actuator] = {}
-        self._moves: dict[tuple[int, int, int], Floats] = {}
+        self._actuators: dict[tuple[Cause | None, float, float], Actuator] = {}
+        self._rows: dict[tuple[int, int, int], int] = {}
+        self._moves: Floats = np.empty((0, max(len(s.commands) for s in shifts), 4))
 
     def __len__(self) -> int:
         return len(self.shifts)
@@ -129,7 +138,7 @@ class ShiftModel:
 
     def actuator(self, cause: Cause | None, size: float, supply: float = 1.0) -> Actuator:
         """Return the actuator with a cause of a size in typical ones, set at a share of the usual supply."""
-        key = ("" if cause is None else cause.name, size, supply)
+        key = (cause, size, supply)
         if key not in self._actuators:
             if len(self._actuators) > 4000:
                 self._actuators.clear()
@@ -140,7 +149,15 @@ class ShiftModel:
                 setup.p.p_supply /= supply
             modes = fresh_modes(LENGTH, setup.conditions.loads())
             modes.line = 1 if setup.has_line else 0
-            self._actuators[key] = Actuator(setup, modes.array[: Modes.size])
+            rests = [initial_state(LENGTH, setup.p, position=g, charged=()) for g in GEARS]
+            later_s = setup.chain.latency_s - self.latency_s
+            self._actuators[key] = Actuator(
+                setup,
+                modes.array[: Modes.size],
+                np.array(rests),
+                (setup.timing.rise_ns, setup.timing.fall_ns, later_s),
+                (id(setup.chain), setup.internal_gain, id(setup.internal_error_m)),
+            )
         return self._actuators[key]
 
     def positions(
@@ -152,40 +169,31 @@ class ShiftModel:
         which strokes [n] could be simulated.
         """
         self.strokes += len(which)
-        at, acts = self.layout.at, self.acts[which]
-        amounts = np.where(acts, amounts, 0.0)
-        is_by_supply = cause is not None and cause.is_by_supply
-        supplies = self._supply[which] if is_by_supply else np.ones(len(which))
-        pairs = dict[tuple[float, float], int]()
-        of_strokes = np.transpose([np.broadcast_to(sizes, len(which)), supplies]).tolist()
-        of_pair = np.array([pairs.setdefault(tuple(pair), len(pairs)) for pair in of_strokes])
-        actuators = [self.actuator(cause, *pair) for pair in pairs]
+        at = self.layout.at
+        amounts = np.where(self.acts[which], amounts, 0.0)
+        actuators, of_stroke = self._actuators_of(which, cause, sizes)
         setups = [item.setup for item in actuators]
-        packed = self._packed(which, amounts, np.array([s.p.array for s in setups])[of_pair])
-        initial = np.empty((len(which), LengthState.size))
-        starts = self._starts[which]
-        for gear in set(starts.tolist()):
-            rows = starts == gear
-            initial[rows] = initial_state(
-                LENGTH, Parameters(packed[rows]), position=gear, charged=()
-            )
-        delays_ns = self._delays_ns(amounts, setups, of_pair)
+        packed = self._packed(which, amounts, np.array([s.p.array for s in setups])[of_stroke])
+        initial = np.array([item.rests for item in actuators])[of_stroke, self._starts[which]]
+        initial[:, LengthState.p_line] = packed[:, Parameters.p_supply]
+        timing = np.array([item.timing for item in actuators])[of_stroke]
+        own_ns = (NS_PER_S * amounts[:, [at["rise"], at["fall"]]]).round()
+        delays_ns = np.maximum(timing[:, :2] + own_ns, 0.0).astype(np.int64)
         since_s = np.maximum(LEAD_S - self._off_s[which] - delays_ns[:, 1:] / NS_PER_S, 0.0)
         # one for all: rests of a single flow map have a closed form
         flow, modes = shared([s.c for s in setups]), shared([item.modes for item in actuators])
         for number, c in enumerate(flow):
-            rows = of_pair == number if len(flow) > 1 else slice(None)
+            rows = of_stroke == number if len(flow) > 1 else slice(None)
             initial[rows] = vented(since_s[rows], packed[rows], c, initial[rows])
-        latency_s = np.array([s.chain.latency_s for s in setups]) - self.latency_s
-        late_s = amounts[:, at["latency"]] + latency_s[of_pair]
+        late_s = amounts[:, at["latency"]] + timing[:, 2]
         # nothing moves before the first command: a stroke begins there
         instants = np.maximum(self.time_s[which] - late_s[:, None] - LEAD_S, 0.0)
         strokes = Strokes(
             system=LENGTH,
             packed=packed,
-            flow=flow if len(flow) == 1 else flow[of_pair],
+            flow=flow if len(flow) == 1 else flow[of_stroke],
             initial=initial,
-            modes=modes if len(modes) == 1 else modes[of_pair],
+            modes=modes if len(modes) == 1 else modes[of_stroke],
             valves=np.zeros((1, 3)),
             switches=self._switches(which, delays_ns, setups[0]),
             duration_s=instants[:, -1] + 1e-6,
@@ -195,14 +203,27 @@ class ShiftModel:
         )
         x = result.samples[:, :, 0]
         reported = np.empty_like(x)
-        reports = [(id(s.chain), s.internal_gain, id(s.internal_error_m)) for s in setups]
-        for report, setup in dict(zip(reports, setups, strict=True)).items():
-            rows, chain = np.array([one == report for one in reports])[of_pair], setup.chain
+        for report, setup in {item.report: item.setup for item in actuators}.items():
+            rows = np.array([item.report == report for item in actuators])[of_stroke]
+            chain = setup.chain
             pulses = chain.sensor.duration_s(x[rows], chain.coil_temperature_k)
             seen = chain.calibration.position_m(pulses, chain.measured_temperature_k)
             reported[rows] = setup.reported_m(seen)
         gain, offset = amounts[:, at["gain"], None], amounts[:, at["offset"], None]
         return reported * (1.0 + gain) + offset, result.status == DONE
+
+    def _actuators_of(
+        self, which: Ints, cause: Cause | None, sizes: Floats | float
+    ) -> tuple[list[Actuator], Ints]:
+        """Return the actuators of strokes of shifts `which` [n] with a cause of sizes, and the number [n] of each stroke's."""
+        sizes_of = np.broadcast_to(sizes, len(which)).tolist()
+        supplies = [1.0] * len(which)
+        if cause is not None and cause.is_by_supply:
+            supplies = self._supply[which].tolist()
+        numbers = dict[tuple[float, float], int]()
+        pairs = zip(sizes_of, supplies, strict=True)
+        of_stroke = np.array([numbers.setdefault(pair, len(numbers)) for pair in pairs])
+        return [self.actuator(cause, *pair) for pair in numbers], of_stroke
 
     def _packed(self, which: Ints, amounts: Floats, packed: Floats) -> Floats:
         """Return packed parameters [n, parameters] of strokes, from those of their actuators."""
@@ -216,48 +237,40 @@ class ShiftModel:
         mesh, pull = (self.layout.own[at[n]].usual * self.mounted for n in ("mesh", "pull"))
         p.mesh_force = np.maximum(0.0, p.mesh_force + mesh + amounts[:, at["mesh"]])
         p.pull_force = np.maximum(0.0, p.pull_force + pull + amounts[:, at["pull"]])
-        cone = self._impulse[which] * np.exp(np.clip(amounts[:, at["cone"]], -6.0, 4.0))
+        cone = self._impulse[which] * np.exp(
+            np.minimum(np.maximum(amounts[:, at["cone"]], -6.0), 4.0)
+        )
         cone = np.maximum(cone - PASSING_N_S, 0.0)
         p.sync_impulse = np.where(self.acts[which, at["cone"]], cone, 0.0)
         out: Floats = p.array
         return out
 
-    def _delays_ns(self, amounts: Floats, setups: Sequence[Setup], of_pair: Ints) -> Ints:
-        """Return the delays of opening and closing [n, 2]."""
-        delays = np.array([(s.timing.rise_ns, s.timing.fall_ns) for s in setups])[of_pair]
-        own_ns = [NS_PER_S * amounts[:, self.layout.at[name]] for name in ("rise", "fall")]
-        return np.maximum(0, delays + np.array(own_ns).round().astype(np.int64).T)
-
-    def _switches(self, which: Ints, delays: Ints, like: Setup) -> Floats:
-        """Return the moves of the valves [n, k, 4] as rows of `plant.batch.batch.Strokes`, by their delays in ns."""
+    def _switches(self, which: Ints, delays_ns: Ints, like: Setup) -> Floats:
+        """Return the moves of the valves [n, k, 4] as rows of `plant.batch.batch.Strokes`, by their delays."""
         # delays within 0.5 ms have the same moves of the valves, in another place
-        steps = delays // 500_000
-        later_s = (delays - 500_000 * steps - 250_000) / NS_PER_S
-        keys = dict[tuple[int, int, int], int]()
-        rows = zip(which.tolist(), *steps.T.tolist(), strict=True)
-        of_key = np.array([keys.setdefault(key, len(keys)) for key in rows])
-        if len(self._moves) > 4000:
-            self._moves.clear()
-        moves = [self._moves_of(*key, like) for key in keys]
-        table = np.zeros((len(moves), max(map(len, moves)), 4))
-        table[:, :, 0] = np.inf
-        for place, rows_of_key in zip(table, moves, strict=True):
-            place[: len(rows_of_key)] = rows_of_key
-        switches = table[of_key]
+        steps = delays_ns // 500_000
+        later_s = (delays_ns - 500_000 * steps - 250_000) / NS_PER_S
+        if len(self._rows) + len(which) > len(self._moves):
+            self._rows.clear()
+            self._moves = np.zeros((4000 + len(which), *self._moves.shape[1:]))
+            self._moves[:, :, 0] = np.inf
+        keys = zip(which.tolist(), *steps.T.tolist(), strict=True)
+        switches = self._moves[[self._row_of(key, like) for key in keys]]
         switches[:, :, 0] += np.where(switches[:, :, 2] > 0.5, later_s[:, :1], later_s[:, 1:])
         order = np.argsort(switches[:, :, 0], axis=1, kind="stable")
         return np.asarray(switches[np.arange(len(order))[:, None], order])
 
-    def _moves_of(self, shift: int, rise: int, fall: int, like: Setup) -> Floats:
-        """Return the moves [k, 4] of a shift's valves at delays in the middle of steps of 0.5 ms."""
-        key = shift, rise, fall
-        if key not in self._moves:
-            rise_ns, fall_ns = (500_000 * step + 250_000 for step in (rise, fall))
+    def _row_of(self, key: tuple[int, int, int], like: Setup) -> int:
+        """Return the row of the moves of a shift's valves at delays in the middle of steps of 0.5 ms."""
+        if key not in self._rows:
+            shift, *steps = key
+            rise_ns, fall_ns = (500_000 * step + 250_000 for step in steps)
             near = replace(like.timing, rise_ns=rise_ns, fall_ns=fall_ns)
-            rows = switch_schedule(self.shifts[shift].commands, near, 3)
-            timed = [(at / NS_PER_S - LEAD_S, chamber, u, 0.0) for at, chamber, u in rows]
-            self._moves[key] = np.array(timed).reshape(-1, 4)
-        return self._moves[key]
+            row = self._rows[key] = len(self._rows)
+            moves = switch_schedule(self.shifts[shift].commands, near, 3)
+            for k, (at_ns, chamber, u) in enumerate(moves):
+                self._moves[row, k] = at_ns / NS_PER_S - LEAD_S, chamber, u, 0.0
+        return self._rows[key]
 
 
 def trips_of(shifts: Sequence[RecordedShift]) -> list[str]:
