@@ -534,7 +534,6 @@ class Fitter:
 
     def rescanned(self, fit: Fit, error_m: float, rng: Rng, number: int = 48) -> Fit:
         """Return a fit with the best of random quantities for each shift: half of them near, half by the prior."""
-        fit = self.evaluated(fit, error_m)
         n, own = fit.each.shape
         trips = [np.flatnonzero(acts) for acts in self.model.acts[:, self.layout.of_trips].T]
         if error_m == FINE_M:
