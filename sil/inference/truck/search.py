@@ -375,10 +375,8 @@ class Search:
         column, supplies = fitter.layout.at["supply"], self._supplies()
         unit[column] = supplies[seed % len(supplies)] / fitter.layout.unit_sd[column]
         fit = replace(self._of_first(truck), cause=cause, size=size, unit=unit, spread=spread)
-        fit = fitter.rescanned(fit, COARSE_M, rng)
-        fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True, again=False)
-        fit = fitter.rescanned(fit, MIDDLE_M, rng)
-        return self._of_all(fitter.improved(fit, MIDDLE_M, 6, again=False), truck)
+        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 8, again=False)
+        return self._of_all(fit, truck)
 
     def _further(self, fit: Fit) -> Fit:
         """Fit a cause further to the shifts of a first look, those farthest off from anew."""
