@@ -20,7 +20,7 @@ import numpy as np
 from sil.inference.problem import Floats
 from sil.inference.thresholds import LIMITS
 from sil.inference.truck.causes import Cause
-from sil.inference.truck.fit import COARSE_M, FINE_M, MIDDLE_M, Fit, Fitter
+from sil.inference.truck.fit import FINE_M, MIDDLE_M, Fit, Fitter
 from sil.inference.truck.gains import Beside, secants
 from sil.inference.workers import spread_out
 
@@ -52,8 +52,8 @@ class Tested:
     """... with so many rounds at each."""
     supplies: tuple[float, ...] = (0.0, -2.0)
     """Supplies at which it begins anew, in standard deviations, ..."""
-    stages: tuple[tuple[float, int], ...] = ((COARSE_M, 6), (MIDDLE_M, 10), (FINE_M, 8))
-    """... with these errors of the model and rounds."""
+    rounds_anew: tuple[int, int] = (10, 8)
+    """... with so many rounds at a larger error of the model, and at its own."""
     shifts: int = 6
     """Shifts that are tested; of more, each stands for its share."""
     tiny: float = 1e-6
@@ -173,11 +173,9 @@ def _begun_anew(seen: Fitter, truck: Fit, supply: float) -> Fit:
     """Return a healthy truck fitted from a usual one at a supply in standard deviations, with the spread of `truck`."""
     rng, fit = np.random.default_rng(1), replace(seen.start(), spread=truck.spread)
     fit.unit[seen.layout.at["supply"]] = supply
-    for error_m, rounds in TESTED.stages:
-        if error_m != FINE_M:
-            fit = seen.rescanned(fit, error_m, rng)
-        fit = seen.improved(fit, error_m, rounds)
-    return fit
+    wide, fine = TESTED.rounds_anew
+    fit = seen.improved(seen.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, wide)
+    return seen.improved(fit, FINE_M, fine)
 
 
 def _with_positions(fitter: Fitter, fit: Fit) -> Fitter | None:

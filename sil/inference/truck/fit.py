@@ -75,7 +75,7 @@ class Steps:
     """... so many of them at once, ..."""
     starts: int = 8
     """... each from so many starts, ..."""
-    draws: int = 64
+    draws: int = 16
     """... the best of so many draws, ..."""
     settling: int = 6
     """... with so many rounds of settling ..."""
@@ -532,7 +532,7 @@ class Fitter:
         gain = self.prior_cost(fit) - self.prior_cost(centred)
         return replace(centred, cost=fit.cost - gain)
 
-    def rescanned(self, fit: Fit, error_m: float, rng: Rng, number: int = 48) -> Fit:
+    def rescanned(self, fit: Fit, error_m: float, rng: Rng, number: int = 32) -> Fit:
         """Return a fit with the best of random quantities for each shift: half of them near, half by the prior."""
         n, own = fit.each.shape
         trips = [np.flatnonzero(acts) for acts in self.model.acts[:, self.layout.of_trips].T]
@@ -689,14 +689,21 @@ class Fitter:
         return replace(fit, each=there[np.arange(n), np.argmin(cost, axis=1)])
 
     def settled(self, fit: Fit, rounds: int) -> Fit:
-        """Return a fit after so many rounds of each shift's own steps; what is shared is kept."""
+        """Return a fit after so many rounds of each shift's own steps; what is shared is kept.
+
+        In every second one slopes only follow the steps.
+        """
         variance = self._variance_of(fit, MIDDLE_M)
         fit = self.evaluated(fit, MIDDLE_M)
         rows = np.arange(len(self.model))
+        slopes, before = np.empty(0), fit
         for turn in range(rounds):
-            side = (1.0, -1.0)[turn % 2]
-            derivatives = self.derivatives(fit, 0.1 if turn else 0.3, (side,), shared=False)
-            system = self.system(fit, derivatives, variance)
+            if turn % 2:
+                slopes = self._followed(slopes, before, fit)
+            else:
+                side = (1.0, -1.0)[turn // 2 % 2]
+                slopes = self.derivatives(fit, 0.1 if turn else 0.3, (side,), shared=False)
+            system = self.system(fit, slopes, variance)
             steps = system.own_steps(STEPS.dampings)
             trials = fit.each + np.concatenate([0.0 * steps[:1], STEPS.short * steps[:1], steps])
             each = np.clip(trials, -STEPS.farthest_sd, STEPS.farthest_sd) * self.mask
@@ -705,6 +712,7 @@ class Fitter:
             x, done = self.model.positions(which, amounts, fit.cause, fit.size)
             per_shift = self._misfit(x, done, which, variance).reshape(len(each), -1)
             best = np.argmin(per_shift + _own_cost(each, fit.spread), axis=0)
+            before = fit
             fit = replace(
                 fit,
                 each=each[best, rows],
@@ -733,11 +741,10 @@ class Fitter:
 
     def finished(self, fit: Fit, rng: Rng, times: int = 3, fixed: bool = False) -> Fit:
         """Return a fit of the last stage, with its scales and evidence."""
-        for turn in range(times):
-            fit = self.with_scales(fit)
-            if turn < times - 1:
-                fit = self.rescanned(self.freed(fit, rng), FINE_M, rng)
-            fit = self.improved(fit, FINE_M, 8, fixed=fixed, followed=0)
+        for _ in range(times - 1):
+            fit = self.freed(self.with_scales(fit), rng)
+            fit = self.improved(self.rescanned(fit, FINE_M, rng), FINE_M, 8, fixed=fixed)
+        fit = self.improved(self.with_scales(fit), FINE_M, 8, fixed=fixed, followed=0)
         return self.with_evidence(fit)
 
     def with_evidence(self, fit: Fit) -> Fit:

@@ -56,6 +56,8 @@ class Effort:
     first_shifts: int = 6
     """Shifts that a first look at a cause takes."""
     first_sizes: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 25.0)
+    first_draws: int = 24
+    """Draws of each shift's quantities at either of its scans."""
     tolerance: float = 1e-4
     """Of the integrator in a first look."""
     variants: int = 3
@@ -87,7 +89,7 @@ class Effort:
     least_slide: float = 0.5
     """... as long as they gain so much, ..."""
     behind_slide: float = 1.0
-    """... and are not so far behind in cost when coarse."""
+    """... and are not so far behind in cost before they have ended."""
     completed: int = 8
     """Causes that are ended at most."""
     contests: int = 2
@@ -375,8 +377,10 @@ class Search:
         column, supplies = fitter.layout.at["supply"], self._supplies()
         unit[column] = supplies[seed % len(supplies)] / fitter.layout.unit_sd[column]
         fit = replace(self._of_first(truck), cause=cause, size=size, unit=unit, spread=spread)
-        fit = fitter.improved(fitter.rescanned(fit, MIDDLE_M, rng), MIDDLE_M, 8, again=False)
-        return self._of_all(fit, truck)
+        fit = fitter.rescanned(fit, COARSE_M, rng, EFFORT.first_draws)
+        fit = fitter.improved(fit, COARSE_M, 3, least=1.0, fixed=True, again=False)
+        fit = fitter.rescanned(fit, MIDDLE_M, rng, EFFORT.first_draws)
+        return self._of_all(fitter.improved(fit, MIDDLE_M, 6, again=False), truck)
 
     def _further(self, fit: Fit) -> Fit:
         """Fit a cause further to the shifts of a first look, those farthest off from anew."""
@@ -469,14 +473,17 @@ class Search:
         return best
 
     def _in_proportion(self, fit: Fit, factor: float) -> Fit:
-        """Return a fit from a factor on supply, forces and masses; the same fit if it is far behind when coarse."""
+        """Return a fit from a factor on supply, forces and masses; the same fit if it is behind before its end."""
         fitter, rng = self.fitters[fit.mounted], np.random.default_rng(1)
         unit = fitter.layout.in_proportion(fit.unit, factor)
         there = fitter.rescanned(replace(fit, unit=unit, noise_factor=1.0), MIDDLE_M, rng)
         there = fitter.improved(there, MIDDLE_M, 10)
         if there.cost > fitter.evaluated(fit, MIDDLE_M).cost + EFFORT.behind_slide:
             return fit
-        return self._ended(self._refined(there, rng))
+        there = self._refined(there, rng)
+        if fitter.whole_cost(there) > fitter.whole_cost(fit) + EFFORT.behind_slide:
+            return fit
+        return self._ended(there)
 
     def _full(self, job: tuple[Fit, int]) -> Fit:
         return self._ended(self._ended(self._begun(job)))

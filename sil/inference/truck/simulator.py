@@ -237,9 +237,7 @@ class ShiftModel:
         mesh, pull = (self.layout.own[at[n]].usual * self.mounted for n in ("mesh", "pull"))
         p.mesh_force = np.maximum(0.0, p.mesh_force + mesh + amounts[:, at["mesh"]])
         p.pull_force = np.maximum(0.0, p.pull_force + pull + amounts[:, at["pull"]])
-        cone = self._impulse[which] * np.exp(
-            np.minimum(np.maximum(amounts[:, at["cone"]], -6.0), 4.0)
-        )
+        cone = self._impulse[which] * np.exp(np.clip(amounts[:, at["cone"]], -6.0, 4.0))
         cone = np.maximum(cone - PASSING_N_S, 0.0)
         p.sync_impulse = np.where(self.acts[which, at["cone"]], cone, 0.0)
         out: Floats = p.array
