@@ -89,7 +89,7 @@ class Effort:
     least_slide: float = 0.5
     """... as long as they gain so much, ..."""
     behind_slide: float = 1.0
-    """... and are not so far behind in cost before they have ended."""
+    """... and are not so far behind in cost when coarse."""
     completed: int = 8
     """Causes that are ended at most."""
     contests: int = 2
@@ -481,7 +481,7 @@ class Search:
         if there.cost > fitter.evaluated(fit, MIDDLE_M).cost + EFFORT.behind_slide:
             return fit
         there = self._refined(there, rng)
-        if fitter.whole_cost(there) > fitter.whole_cost(fit) + EFFORT.behind_slide:
+        if fitter.whole_cost(there) > fitter.whole_cost(fit) + EFFORT.behind:
             return fit
         return self._ended(there)
 

@@ -120,6 +120,8 @@ def test_a_stuck_shift_tries_the_loads_of_the_likeliest_truck(
         return replace(there, each=np.tile(fit.each[into_gear], (len(self.model), 1)))
 
     monkeypatch.setattr(Fitter, "drawn", where_it_was)
+    # nor does it move from there
+    monkeypatch.setattr(truck_fit, "STEPS", replace(STEPS, settling=0))
     known = copy.copy(fitter)
     costs = []
     for known.likeliest in (None, good):
