@@ -35,7 +35,6 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 PASSING_N_S = 0.3
 """Impulse of a cone up to which the stay passes without a stop, or nearly so: at equal speeds."""
-GEARS = "FNB"
 EQUAL_RAD_S = 0.5
 """Speed difference at the command that an engine which synchronizes has taken away when the stay is there."""
 
@@ -44,7 +43,7 @@ EQUAL_RAD_S = 0.5
 class Actuator:
     """The actuator with one cause of one size.
 
-    modes: of its strokes; rests [3, states]: at rest in `GEARS`; timing: delays of opening and closing in ns, and by how
+    modes: of its strokes; rests [3, states]: at rest in B, N, F; timing: delays of opening and closing in ns, and by how
     much later pulses come in s; report: what decides how positions are reported.
     """
 
@@ -97,7 +96,7 @@ class ShiftModel:
         )
         self._impulse: Floats = np.array([_impulse_n_s(s) for s in shifts])
         self.passing: Floats = np.log(PASSING_N_S / self._impulse)
-        self._starts = np.array([GEARS.index(s.start) for s in shifts])
+        self._starts = np.array(["BNF".index(s.start) for s in shifts])
         self._off_s: Floats = np.array([s.off_s for s in shifts])
         into = [any(c != 1 and duty > 0.5 for _, c, duty in s.commands) for s in shifts]
         kinds = {
@@ -149,7 +148,7 @@ class ShiftModel:
                 setup.p.p_supply /= supply
             modes = fresh_modes(LENGTH, setup.conditions.loads())
             modes.line = 1 if setup.has_line else 0
-            rests = [initial_state(LENGTH, setup.p, position=g, charged=()) for g in GEARS]
+            rests = [initial_state(LENGTH, setup.p, position=g, charged=()) for g in "BNF"]
             later_s = setup.chain.latency_s - self.latency_s
             self._actuators[key] = Actuator(
                 setup,
