@@ -473,7 +473,7 @@ class Search:
         return best
 
     def _in_proportion(self, fit: Fit, factor: float) -> Fit:
-        """Return a fit from a factor on supply, forces and masses; the same fit if it is behind before its end."""
+        """Return a fit from a factor on supply, forces and masses; the same fit if it is far behind before its end."""
         fitter, rng = self.fitters[fit.mounted], np.random.default_rng(1)
         unit = fitter.layout.in_proportion(fit.unit, factor)
         there = fitter.rescanned(replace(fit, unit=unit, noise_factor=1.0), MIDDLE_M, rng)
